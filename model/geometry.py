@@ -4,7 +4,6 @@ The only module that knows trimesh. Everything after `read` is plain numpy, in m
 """
 
 import difflib
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import permutations, product
 from pathlib import Path
@@ -15,8 +14,7 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
-from scipy.spatial import cKDTree
-
+from scipy.spatial import ConvexHull, cKDTree
 from tissue_contact.errors import InputError
 
 FloatArray = NDArray[np.float64]
@@ -48,6 +46,7 @@ class Surface:
         None when unknown.
 
     Arrays are converted to these types, C-contiguous. A wrong shape raises ValueError.
+
     """
 
     vertices: FloatArray
@@ -155,7 +154,7 @@ def extent(surface: Surface) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _EdgeUse:
-    """Undirected edges and the half-edges on them; half-edge 3 t + s runs from corner s to s + 1 of triangle t."""
+    """Undirected edges and the half-edges on them (numbered as in `interior_edges`)."""
 
     edges: IntArray  # (e, 2), sorted in each row and by row
     edge: NDArray[np.intp]  # (3 m,) the edge of every half-edge
@@ -180,6 +179,15 @@ def _edge_use(triangles: IntArray) -> _EdgeUse:
 def edges(surface: Surface) -> IntArray:
     """Every undirected edge once, shape (e, 2): lower vertex first, rows in ascending order."""
     return np.ascontiguousarray(_edge_use(surface.triangles).edges)
+
+
+def interior_edges(triangles: IntArray) -> tuple[IntArray, NDArray[np.intp]]:
+    """Edges that exactly two triangles share, shape (b, 2), and their half-edges, shape (b, 2).
+
+    Half-edge 3 t + s runs from corner s to corner s + 1 of triangle t.
+    """
+    use = _edge_use(triangles)
+    return use.edges[use.count == 2], use.pairs()
 
 
 def flaps(surface: Surface) -> IntArray:
@@ -222,7 +230,7 @@ def _labels(n: int, pairs: ArrayLike) -> IntArray:
 
 def _equal_vertices(vertices: FloatArray) -> NDArray[np.intp]:
     """For every vertex the index of the first vertex at exactly the same place, shape (n,)."""
-    order = np.lexsort((vertices + 0.0).T)  # + 0.0 turns -0.0 into 0.0; stable, so the first stays first
+    order = np.lexsort(vertices.T)  # stable, so the first stays first; −0.0 equals 0.0
     place = vertices[order]
     new = np.ones(len(order), bool)
     new[1:] = (place[1:] != place[:-1]).any(axis=1)
@@ -251,14 +259,17 @@ def read(path: str | Path, scale: float = 1.0) -> Surface:
 
     Parameters
     ----------
-    path : file name
-    scale : metres per unit of the file
+    path : str or Path
+        File name.
+    scale : float
+        Metres per unit of the file.
 
     Raises
     ------
     InputError
         Missing, unreadable or empty file, unknown format, no triangle, a coordinate that is not finite,
         a scale that is not positive.
+
     """
     path = Path(path)
     place = str(path)
@@ -283,10 +294,12 @@ def read(path: str | Path, scale: float = 1.0) -> Surface:
         raise InputError(place, "the mesh file must not be empty", "0 bytes", again)
     try:
         loaded = trimesh.load_scene(path, process=False)
-        meshes = [m for m in loaded.dump() if isinstance(m, trimesh.Trimesh)]
+        meshes = [m for m in loaded.geometry.values() if isinstance(m, trimesh.Trimesh)]
         mesh = trimesh.util.concatenate(meshes) if meshes else None
     except Exception as error:  # trimesh's readers raise nearly every type there is
-        found = f"{type(error).__name__}: {error}"
+        # What fits neither a binary nor a text format makes trimesh ask for a package that guesses encodings.
+        unknown = isinstance(error, ImportError)
+        found = "contents that are cut off or not text" if unknown else f"{type(error).__name__}: {error}"
         raise InputError(
             place, f"the file must be a valid {path.suffix[1:].upper()}", found, again
         ) from error
@@ -368,7 +381,9 @@ def inspect(surface: Surface) -> MeshReport:
 
 
 def repair(surface: Surface) -> tuple[Surface, tuple[Repair, ...]]:
-    """Make the repairs that cannot change the shape by more than 1e-6 of the extent (`TOLERANCE`), in order:
+    """Make the repairs that are safe: they move nothing by more than 1e-6 of the extent (`TOLERANCE`).
+
+    In this order:
 
     1. merge vertices at the same place, then those nearer than the tolerance (the first one's place stays);
     2. drop triangles that thereby have a vertex twice;
@@ -383,7 +398,9 @@ def repair(surface: Surface) -> tuple[Surface, tuple[Repair, ...]]:
 
     Returns
     -------
-    The repaired surface, and one `Repair` for every kind that was made, in the order above.
+    The repaired surface, with no triangle at all if every one is flat, and one `Repair` for every kind that
+    was made, in the order above.
+
     """
     done: list[Repair] = []
 
@@ -413,6 +430,8 @@ def repair(surface: Surface) -> tuple[Surface, tuple[Repair, ...]]:
     note("duplicate triangles dropped", (~keep).sum())
     triangles, part = triangles[keep], part[keep]
 
+    if not len(triangles):
+        return Surface(np.empty((0, 3)), triangles, part), tuple(done)
     used = np.unique(triangles)
     note("vertices without a triangle dropped", len(np.unique(near[first])) - len(used))
     renumber = np.zeros(len(vertices), np.int32)
@@ -435,21 +454,25 @@ def _near_vertices(vertices: FloatArray, among: NDArray[np.intp], radius: float)
     return near
 
 
+def _sides(triangle: IntArray) -> list[tuple[int, int]]:
+    a, b, c = (int(i) for i in triangle)
+    return [(min(i, j), max(i, j)) for i, j in ((a, b), (b, c), (c, a))]
+
+
 def _swap_flat(
     vertices: FloatArray, triangles: IntArray, height: float
 ) -> tuple[IntArray, NDArray[np.bool_], int]:
-    """Remove flat triangles by swapping their longest edge; say which triangles to keep and count the swaps."""
+    """Remove flat triangles by swapping their longest edge: new triangles, which to keep, number of swaps."""
     triangles = triangles.copy()
     keep = np.ones(len(triangles), bool)
     swapped = 0
-    for _ in range(len(triangles)):  # a row of flat triangles is worked off from its ends
+    for _ in range(200):  # a row of flat triangles is worked off from its ends; what is longer stays
         flat = np.flatnonzero(keep & (triangle_heights(Surface(vertices, triangles)) <= height))
         around: dict[tuple[int, int], list[int]] = {}
         if len(flat):
             for t in np.flatnonzero(keep):
-                for s in range(3):
-                    a, b = sorted((int(triangles[t, s]), int(triangles[t, s - 2])))
-                    around.setdefault((a, b), []).append(int(t))
+                for e in _sides(triangles[t]):
+                    around.setdefault(e, []).append(int(t))
         busy: set[int] = set()
         changed = False
         for t in flat.tolist():
@@ -459,6 +482,7 @@ def _swap_flat(
             sharing = around[min(a, b), max(a, b)]
             if busy.intersection(sharing):
                 continue
+            outline = [e for i in sharing for e in _sides(triangles[i])]
             if len(sharing) == 1:
                 keep[t] = False
             elif len(sharing) == 2:
@@ -471,10 +495,9 @@ def _swap_flat(
                 swapped += 1
             else:
                 continue
-            # Their edges have other owners now: leave the neighbourhood to the next round.
-            for e, owners in around.items():
-                if set(owners) & set(sharing):
-                    busy.update(around[e])
+            # Edges have other owners now: leave the neighbourhood to the next round.
+            for e in outline:
+                busy.update(around[e])
             changed = True
         if not changed:
             break
@@ -532,11 +555,16 @@ def load(
 
     Parameters
     ----------
-    path : file name
-    scale : metres per unit of the file
-    open_surface : the mesh is a sheet on purpose: boundary edges are right
-    many_parts : the mesh consists of several pieces on purpose
-    purpose : what the mesh is used for
+    path : str or Path
+        File name.
+    scale : float
+        Metres per unit of the file.
+    open_surface : bool
+        The mesh is a sheet on purpose: boundary edges are right.
+    many_parts : bool
+        The mesh consists of several pieces on purpose.
+    purpose : "tissue" or "instrument"
+        What the mesh is used for.
 
     Returns
     -------
@@ -547,46 +575,51 @@ def load(
     InputError
         From `read` and `check_scale`; non-manifold edges, holes, several components, a surface without a
         consistent winding.
+
     """
     place = str(path)
     surface, repairs = repair(read(path, scale))
+    if not len(surface.triangles):
+        found = ", ".join(map(str, repairs))
+        raise InputError(place, "a mesh must have a triangle with an area", found, "Export the mesh again")
     report = inspect(surface)
     check_scale(report, place, scale=scale)
+    one = "an instrument" if purpose == "instrument" else "a tissue"
     mend = "Mend it in a mesh editor"
     loose = purpose == "instrument" and open_surface
     if report.nonmanifold_edges and not loose:
         also = ", or give open_surface = true for an instrument" if purpose == "instrument" else ""
         raise InputError(
             place,
-            f"at most two triangles of a {purpose} may share an edge",
+            f"at most two triangles of {one} may share an edge",
             f"{report.nonmanifold_edges} edges with more",
             mend + also,
         )
     if report.degenerate_triangles and not loose:
         raise InputError(
             place,
-            f"a triangle of a {purpose} must have a height",
+            f"a triangle of {one} must have a height",
             f"{report.degenerate_triangles} flat triangles that cannot be removed safely",
             mend,
         )
     if not report.winding_consistent and not loose:
         raise InputError(
             place,
-            f"a {purpose} must have an inner and an outer side",
+            f"{one} must have an inner and an outer side",
             "a one-sided surface, like a Möbius strip",
             mend,
         )
     if report.boundary_edges and not open_surface:
         raise InputError(
             place,
-            f"a {purpose} must be closed",
+            f"{one} must be closed",
             f"{report.boundary_edges} boundary edges round one or more holes",
             f"Close it in a mesh editor, or give open_surface = true if the {purpose} is meant to be a sheet",
         )
     if report.components > 1 and not many_parts:
         raise InputError(
             place,
-            f"a {purpose} must be of one piece",
+            f"{one} must be of one piece",
             f"{report.components} components",
             "Remove the stray pieces in a mesh editor, or give many_parts = true if all of them are meant",
         )
@@ -596,7 +629,7 @@ def load(
 
 
 def _pieces(surface: Surface) -> IntArray:
-    """Piece of every triangle: joined through any common vertex, so that bad edges do not cut an instrument."""
+    """Piece of every triangle: joined through any common vertex, so that bad edges cut nothing."""
     ends = edges(surface)
     return _labels(len(surface.vertices), ends)[surface.triangles[:, 0]]
 
@@ -606,32 +639,32 @@ def check_scale(report: MeshReport, place: str, *, scale: float = 1.0) -> None:
 
     Parameters
     ----------
-    report : the mesh after `scale` was applied
-    place : named in the error
-    scale : what was applied, so that the error can name the right one
+    report : MeshReport
+        Of the mesh after `scale` was applied.
+    place : str
+        Named in the error.
+    scale : float
+        What was applied, so that the error can name the right one.
+
+    Raises
+    ------
+    InputError
+        The size is out of range; the message names the scale that would put it right.
+
     """
     if EXTENT_MIN <= report.extent <= EXTENT_MAX:
         return
-    if report.extent <= 0:
-        raise InputError(place, "a mesh must have a size", "all vertices in one place", "Export it again")
-    power = (
-        np.ceil(np.log10(report.extent) / 3) if report.extent > 1 else np.floor(np.log10(report.extent) / 3)
-    )
-    factors = [1000.0 ** -int(power)] if report.extent > 1 else [1000.0 ** -(int(power) + 1)]
     raw = report.extent / scale
-    factors = [f for f in _unit_scales(raw) if EXTENT_MIN <= raw * f <= EXTENT_MAX] or [scale * factors[0]]
-    advice = " or ".join(f"scale = {f:g} ({report.extent * f / scale:.3g} m)" for f in factors)
+    # mm, m, cm, µm; if the file has none of them, the power of 1000 that fits (the range has three decades).
+    scales = [s for s in (1e-3, 1.0, 1e-2, 1e-6) if EXTENT_MIN <= raw * s <= EXTENT_MAX]
+    scales = scales or [1000.0 ** -float(np.ceil(np.log10(raw) / 3))]
+    advice = " or ".join(f"scale = {s:g} ({raw * s:.3g} m)" for s in scales)
     raise InputError(
         place,
         "the largest dimension must lie between 0.001 m and 1 m",
         f"{report.extent:.4g} m with scale = {scale:g}",
         f"Give the file's unit in metres: {advice}",
     )
-
-
-def _unit_scales(raw: float) -> Iterable[float]:
-    """Metres per unit of the usual units, those of medical images first."""
-    return (1e-3, 1.0, 1e-2, 1e-6)
 
 
 # --- box --------------------------------------------------------------------------------------------------
@@ -656,13 +689,15 @@ def oriented_box(points: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]
 
     Parameters
     ----------
-    points : [m], shape (n, 3)
+    points : array of shape (n, 3)
+        [m]
 
     Returns
     -------
     centre : [m], shape (3,)
     axes : unit vectors in rows, right-handed, shape (3, 3)
     half : half extents along them [m], shape (3,)
+
     """
     points = np.asarray(points, np.float64).reshape(-1, 3)
     best = np.eye(3)
@@ -689,3 +724,37 @@ def _least_box_axes(points: FloatArray) -> FloatArray:
         axes = to_origin[:3, :3]
     axes[2] = np.cross(axes[0], axes[1])
     return np.ascontiguousarray(axes)
+
+
+def nearest_place(surface: Surface, points: ArrayLike) -> tuple[IntArray, FloatArray]:
+    """Where on the surface each point is nearest to.
+
+    Parameters
+    ----------
+    points : array of shape (n, 3)
+        [m]
+
+    Returns
+    -------
+    triangle : int32, shape (n,)
+    weight : areal coordinates of the place in its triangle, shape (n, 3)
+
+    """
+    corners = surface.vertices[surface.triangles]
+    places = np.asarray(points, np.float64).reshape(-1, 3)
+    triangle = np.empty(len(places), np.int32)
+    weight = np.empty((len(places), 3))
+    for k, point in enumerate(places):
+        feet = trimesh.triangles.closest_point(corners, np.broadcast_to(point, (len(corners), 3)))
+        triangle[k] = np.argmin(((feet - point) ** 2).sum(axis=1))
+        foot = feet[triangle[k]]
+        weight[k] = trimesh.triangles.points_to_barycentric(
+            corners[triangle[k] : triangle[k] + 1], foot[None]
+        )[0]
+    return triangle, weight
+
+
+def hull_vertices(surface: Surface, part: int) -> FloatArray:
+    """Vertices of the convex hull of one part [m], shape (n, 3)."""
+    vertices = surface.vertices[np.unique(surface.triangles[surface.part == part])]
+    return vertices[np.sort(ConvexHull(vertices, qhull_options="QJ Pp").vertices)]

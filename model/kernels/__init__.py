@@ -1,0 +1,11 @@
+"""The compiled numerics. Only numpy and numba are known here."""
+
+from pathlib import Path
+
+import numba
+
+from tissue_contact import cache
+
+# numba keys a cached function by its own file only; a kernel that was changed would live on inside its callers.
+_SOURCES = [*Path(__file__).parent.glob("*.py"), Path(__file__).parent.parent / "status.py"]
+numba.config.CACHE_DIR = str(cache.folder() / f"jit-{cache.digest(_SOURCES, numba.__version__)}")

@@ -34,8 +34,6 @@ class Model(NamedTuple):
     triangle_a: Index  # shape [T]
     triangle_b: Index  # shape [T]
     triangle_c: Index  # shape [T]
-    half_start: Index  # shape [V + 1], where the spring ends of a vertex begin in half_spring
-    half_spring: Index  # shape [2 S], spring s as 2 s where the vertex is its first end, 2 s + 1 where its second
     # -- instruments
     instrument_part_start: Index  # shape [I + 1]
     instrument_triangle_start: Index  # shape [I + 1]
@@ -44,13 +42,17 @@ class Model(NamedTuple):
     instrument_c: Index  # shape [U]
     instrument_part: Index  # shape [U], the convex part that owns the triangle
     grid_size: Index  # shape [3 I], cells along each axis of the body frame
+    grid_occupied: Index  # shape [I], cells that hold a triangle of the instrument
     grid_cell_start: Index  # shape [I + 1], where the cells of an instrument begin in cell_start
     cell_start: Index  # shape [cells + I], where the triangles of a cell begin in cell_triangle; one end mark each
     cell_triangle: Index  # shape [entries], instrument triangles that touch a cell
     # -- contact pairs, probes, solver
     contact_tissue: Index  # shape [K]
     contact_instrument: Index  # shape [K]
+    contact_response: Index  # shape [K], how depth is measured: OOBB or HULL of `collision`
+    contact_weighted: Index  # shape [K], 1: the pairs of a region share one force; 0: each pair has its own
     contact_side_start: Index  # shape [K + 1], where a pair's latched sides begin
+    hull_start: Index  # shape [P + 1], where the hull vertices of a part begin; empty parts where no contact asks
     probe_triangle: Index  # shape [Q]
     substeps_fixed: Index  # shape [1], 0: automatic
     substeps_max: Index  # shape [1]
@@ -60,6 +62,7 @@ class Model(NamedTuple):
     rest_z: Real  # [m], shape [V]
     node_area: Real  # [m²], shape [V], one third of the adjacent triangles
     node_free: Real  # [1], shape [V], 1 free, 0 fixed
+    node_mobility: Real  # [1/m²], shape [V], node_free / node_area
     spring_rest: Real  # [m], shape [S], rest length
     spring_stiffness: Real  # [N/m], shape [S]
     spring_damping: Real  # [N·s/m], shape [S]
@@ -75,6 +78,9 @@ class Model(NamedTuple):
     part_centre: Real  # [m], shape [3 P], centre of the object-oriented bounding box
     part_axes: Real  # [1], shape [9 P], its three unit axes, one after the other
     part_half: Real  # [m], shape [3 P], its half extents along them
+    hull_x: Real  # [m], shape [H], vertices of the convex hulls of the parts
+    hull_y: Real  # [m], shape [H]
+    hull_z: Real  # [m], shape [H]
     part_axis: Real  # [m], shape [6 P], shaft axis: tip end, handle end
     part_reach: Real  # [m], shape [P], how far the mark lies towards the handle from the axis point at the contact
     grid_low: Real  # [m], shape [3 I], least corner of the cell grid
@@ -109,28 +115,64 @@ class State(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Room to work in; meaningless between calls, but for ``detail`` after a status other than OK."""
+    """Room to work in; meaningless between calls, but for ``detail`` after a status other than OK.
 
-    outcode: Index  # shape [V], which faces of the instrument's box a vertex lies beyond
-    stamp: Index  # shape [U], last tissue triangle that was paired with an instrument triangle
-    cell_stamp: Index  # shape [cells], last detection pass that met a tissue triangle in a cell
-    touched: Index  # shape [capacity], parents of the touched triangles in the search for regions
-    vertex_touch: Index  # shape [V], touched triangle at a vertex, counted from 1; 0: none
+    M is the capacity for pairs; C the most cells that an instrument's grid has.
+    """
+
+    outcode: Index  # shape [V], which faces of the instrument's box a vertex lies beyond, a bit a face
+    stamp: Index  # shape [U], 1 + the last tissue triangle that met an instrument triangle
+    cell_stamp: Index  # shape [C], 1 where a tissue triangle was met in a cell
     cells: Index  # shape [3], empty, solo and potentially colliding cells of the last detection
+    hit: Index  # shape [U], instrument triangles that intersect one tissue triangle
+    parent: Index  # shape [M], touched triangles in the search for regions
+    vertex_touch: Index  # shape [V], touched triangle at a vertex, counted from 1; 0: none
+    touch_triangle: Index  # shape [M], touched tissue triangle
+    touch_region: Index  # shape [M]
+    touch_part: Index  # shape [M], part of the instrument that the triangle met
     detail: Real  # shape [2], figures for the message of a status
-    fx: Real  # [N], shape [V]
+    expansion: Real  # shape [256], exact arithmetic
+    fx: Real  # [N], shape [V], force on a vertex
     fy: Real  # [N], shape [V]
     fz: Real  # [N], shape [V]
     body_x: Real  # [m], shape [V], tissue vertices in the body frame
     body_y: Real  # [m], shape [V]
     body_z: Real  # [m], shape [V]
     loss: Real  # [J], shape [V], dissipated at a vertex within the step
-    spring_x: Real  # [N], shape [S], force on the first end; later its unit vector
-    spring_y: Real  # [N], shape [S]
-    spring_z: Real  # [N], shape [S]
-    solve: Real  # shape [9 V where a spring is damped, else 0], vectors of the conjugate gradients
-    expansion: Real  # shape [1024], exact arithmetic
-    pulse: Real  # [N·s, N·m·s], shape [6 I], impulse and its moment on each instrument within the step
+    vertex_weight: Real  # [1], shape [V], share of a region's force that a vertex takes
+    touch_pairs: Real  # [1], shape [M], intersecting pairs of the triangle
+    touch_length: Real  # [m], shape [M], length of the intersection curve within the triangle
+    touch_share: Real  # [1], shape [M], share of the region's force
+    touch_a: Real  # [1], shape [M], areal coordinates of the point of collision
+    touch_b: Real  # [1], shape [M]
+    touch_c: Real  # [1], shape [M]
+    touch_nx: Real  # [1], shape [M], inner normal of the tissue, body frame
+    touch_ny: Real  # [1], shape [M]
+    touch_nz: Real  # [1], shape [M]
+    touch_rx: Real  # [m], shape [M], point of collision, body frame
+    touch_ry: Real  # [m], shape [M]
+    touch_rz: Real  # [m], shape [M]
+    region_length: Real  # [m], shape [M], length of the intersection curve of a region
+    region_touches: Real  # [1], shape [M], touched triangles of a region
+    region_nx: Real  # [1], shape [M], mean inner normal, body frame
+    region_ny: Real  # [1], shape [M]
+    region_nz: Real  # [1], shape [M]
+    region_rx: Real  # [m], shape [M], mean point of collision, body frame
+    region_ry: Real  # [m], shape [M]
+    region_rz: Real  # [m], shape [M]
+    region_vx: Real  # [m/s], then [N], shape [M], velocity of the tissue at the point, then its force, world frame
+    region_vy: Real  # [m/s], then [N], shape [M]
+    region_vz: Real  # [m/s], then [N], shape [M]
+    region_depth: Real  # [m], shape [M]
+    region_mobility: Real  # [1/kg], shape [M], velocity that a unit impulse on the region gives
+    pose: Real  # [m, 1], shape [7 I], pose of each instrument within the step
+    motion: Real  # [m/s, rad/s], shape [6 I], velocity and angular velocity of each instrument
+    contact: Real  # shape [12 I], see `response`: force, torque, depth, regions, weighted point
+    pulse: Real  # [N·s], shape [3 I], impulse on each instrument within the step
+    unit_x: Real  # [1], shape [S where a spring is damped, else 0], direction of a spring
+    unit_y: Real  # [1], shape as unit_x
+    unit_z: Real  # [1], shape as unit_x
+    solve: Real  # [m/s], shape [9 V where a spring is damped, else 0], vectors of the conjugate gradients
 
 
 Bundle = TypeVar("Bundle", Model, State, Scratch)

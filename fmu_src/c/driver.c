@@ -1,0 +1,189 @@
+/* Runs an FMU from a file of inputs and times every step: for benchmarks and for platforms without Python.
+
+   driver LIBRARY RESOURCES GUID JOB RESULT
+
+   JOB, little-endian: u64 steps, n_starts, n_inputs, n_outputs; f64 start time, h; u64 value reference and f64 value of
+   every start; u64 value references of the inputs, then of the outputs; f64 inputs[steps][n_inputs].
+   RESULT: u64 nanoseconds[steps]; f64 outputs[steps][n_outputs].
+   Row 0 of the inputs is also set in Initialization Mode. Exit code 1, with a message, if anything fails. */
+#define _POSIX_C_SOURCE 200809L /* for clock_gettime */
+
+#include <stdarg.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmi2FunctionTypes.h"
+
+#ifdef _WIN32
+#include <windows.h>
+static void *load(const char *path) { return (void *)LoadLibraryA(path); }
+static void *symbol(void *library, const char *name)
+{
+    FARPROC found = GetProcAddress((HMODULE)library, name);
+    void *out;
+    memcpy(&out, &found, sizeof out);
+    return out;
+}
+static uint64_t nanoseconds(void)
+{
+    LARGE_INTEGER now, per_second;
+    QueryPerformanceCounter(&now);
+    QueryPerformanceFrequency(&per_second);
+    return (uint64_t)((double)now.QuadPart * 1e9 / (double)per_second.QuadPart);
+}
+#else
+#include <dlfcn.h>
+#include <time.h>
+static void *load(const char *path)
+{
+    void *library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
+    if (library == NULL)
+        fprintf(stderr, "%s\n", dlerror());
+    return library;
+}
+static void *symbol(void *library, const char *name) { return dlsym(library, name); }
+static uint64_t nanoseconds(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec;
+}
+#endif
+
+static void fail(const char *what)
+{
+    fprintf(stderr, "driver: %s failed\n", what);
+    exit(1);
+}
+
+static void logger(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category,
+                   fmi2String message, ...)
+{
+    (void)environment;
+    va_list arguments;
+    va_start(arguments, message);
+    fprintf(stderr, "%s %d %s: ", name, (int)status, category);
+    vfprintf(stderr, message, arguments);
+    fputc('\n', stderr);
+    va_end(arguments);
+}
+
+static void *get(void *library, const char *name)
+{
+    void *found = symbol(library, name);
+    if (found == NULL)
+        fail(name);
+    return found;
+}
+
+static void *allocate(uint64_t count)
+{
+    void *memory = calloc((size_t)count + 1, 8);
+    if (memory == NULL)
+        fail("calloc");
+    return memory;
+}
+
+static void read_items(FILE *file, void *to, uint64_t count)
+{
+    if (fread(to, 8, (size_t)count, file) != count)
+        fail("reading the job");
+}
+
+static fmi2ValueReference *read_references(FILE *file, uint64_t count)
+{
+    uint64_t *wide = allocate(count);
+    fmi2ValueReference *references = allocate(count);
+    read_items(file, wide, count);
+    for (uint64_t i = 0; i < count; i++)
+        references[i] = (fmi2ValueReference)wide[i];
+    free(wide);
+    return references;
+}
+
+/* A pointer to data is not a pointer to a function in ISO C; the bits are the same on every platform here. */
+#define GET(type, name)                                                                                                \
+    type *name;                                                                                                        \
+    do {                                                                                                               \
+        void *found = get(library, #name);                                                                             \
+        memcpy(&name, &found, sizeof found);                                                                           \
+    } while (0)
+
+int main(int argc, char **argv)
+{
+    if (argc != 6) {
+        fprintf(stderr, "usage: driver LIBRARY RESOURCES GUID JOB RESULT\n");
+        return 2;
+    }
+    void *library = load(argv[1]);
+    if (library == NULL)
+        fail("loading the library");
+    GET(fmi2InstantiateTYPE, fmi2Instantiate);
+    GET(fmi2SetupExperimentTYPE, fmi2SetupExperiment);
+    GET(fmi2EnterInitializationModeTYPE, fmi2EnterInitializationMode);
+    GET(fmi2ExitInitializationModeTYPE, fmi2ExitInitializationMode);
+    GET(fmi2SetRealTYPE, fmi2SetReal);
+    GET(fmi2GetRealTYPE, fmi2GetReal);
+    GET(fmi2DoStepTYPE, fmi2DoStep);
+    GET(fmi2TerminateTYPE, fmi2Terminate);
+    GET(fmi2FreeInstanceTYPE, fmi2FreeInstance);
+
+    FILE *job = fopen(argv[4], "rb");
+    if (job == NULL)
+        fail("opening the job");
+    uint64_t counts[4]; /* steps, starts, inputs, outputs */
+    double times[2];
+    read_items(job, counts, 4);
+    read_items(job, times, 2);
+    uint64_t steps = counts[0], n_in = counts[2], n_out = counts[3];
+    double begin = times[0], h = times[1];
+    fmi2ValueReference *start_refs = allocate(counts[1]);
+    double *starts = allocate(counts[1]);
+    for (uint64_t i = 0; i < counts[1]; i++) {
+        uint64_t reference;
+        read_items(job, &reference, 1);
+        start_refs[i] = (fmi2ValueReference)reference;
+        read_items(job, starts + i, 1);
+    }
+    fmi2ValueReference *in_refs = read_references(job, n_in);
+    fmi2ValueReference *out_refs = read_references(job, n_out);
+    double *inputs = allocate(steps * n_in);
+    read_items(job, inputs, steps * n_in);
+    fclose(job);
+    double *outputs = allocate(steps * n_out);
+    uint64_t *spent = allocate(steps);
+
+    fmi2CallbackFunctions callbacks = {.logger = logger};
+    fmi2Component c = fmi2Instantiate("driver", fmi2CoSimulation, argv[3], argv[2], &callbacks, fmi2False, fmi2False);
+    if (c == NULL)
+        fail("fmi2Instantiate");
+    if (fmi2SetupExperiment(c, fmi2False, 0, begin, fmi2False, 0) != fmi2OK ||
+        fmi2SetReal(c, start_refs, (size_t)counts[1], starts) != fmi2OK || fmi2EnterInitializationMode(c) != fmi2OK ||
+        (steps > 0 && fmi2SetReal(c, in_refs, (size_t)n_in, inputs) != fmi2OK) ||
+        fmi2ExitInitializationMode(c) != fmi2OK)
+        fail("initialization");
+    for (uint64_t k = 0; k < steps; k++) {
+        if (fmi2SetReal(c, in_refs, (size_t)n_in, inputs + k * n_in) != fmi2OK)
+            fail("fmi2SetReal");
+        uint64_t before = nanoseconds();
+        fmi2Status status = fmi2DoStep(c, begin + (double)k * h, h, fmi2True);
+        spent[k] = nanoseconds() - before;
+        if (status != fmi2OK) {
+            fprintf(stderr, "driver: status %d in step %llu\n", (int)status, (unsigned long long)k);
+            return 1;
+        }
+        if (fmi2GetReal(c, out_refs, (size_t)n_out, outputs + k * n_out) != fmi2OK)
+            fail("fmi2GetReal");
+    }
+    if (fmi2Terminate(c) != fmi2OK)
+        fail("fmi2Terminate");
+    fmi2FreeInstance(c);
+
+    FILE *result = fopen(argv[5], "wb");
+    if (result == NULL || fwrite(spent, 8, (size_t)steps, result) != steps ||
+        fwrite(outputs, 8, (size_t)(steps * n_out), result) != steps * n_out || fclose(result) != 0)
+        fail("writing the result");
+    return 0;
+}

@@ -1,0 +1,165 @@
+"""Run an .fmu through a small native program: for timing without Python in between, and for other platforms."""
+
+import os
+import platform as host
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+from fmpy import read_model_description
+
+from tissue_contact.errors import InputError, WorkError
+from tissue_contact.fmu import compile
+from tissue_contact.kernels.layout import Real
+
+AARCH64_LIBRARIES = Path("/usr/aarch64-linux-gnu")  # of Debian's libc6-arm64-cross
+
+
+def host_platform() -> str:
+    """FMI's name of the platform that this process runs on; it need not be one that FMUs are built for."""
+    machine = host.machine().lower()
+    if sys.platform == "darwin":
+        return "darwin64"
+    system = {"linux": "linux", "win32": "win"}.get(sys.platform, sys.platform)
+    return f"{system}64" if machine in {"x86_64", "amd64"} else f"{machine}-{system}"
+
+
+def _wine() -> str | None:
+    debian = "/usr/lib/wine/wine64"  # not on the path
+    return shutil.which("wine64") or shutil.which("wine") or (debian if Path(debian).exists() else None)
+
+
+def runner(platform: str) -> list[str] | None:
+    """Command that runs a program of a platform here, empty for this machine's own; None if there is none."""
+    if platform == host_platform():
+        return []
+    if platform == "win64":
+        wine = _wine()
+        return [wine] if wine else None
+    if platform == "aarch64-linux":
+        qemu = shutil.which("qemu-aarch64")
+        return [qemu, "-L", str(AARCH64_LIBRARIES)] if qemu and AARCH64_LIBRARIES.is_dir() else None
+    return None
+
+
+def driver(platform: str) -> bytes:
+    """The program of ``c/driver.c`` for a platform, from the cache or compiled now (about 3 s, Windows first 50 s)."""
+    target = compile.target(platform)
+    kept = compile.cache_directory() / f"driver-{platform}-{compile.source_hash(compile.STEP_KERNELS)}"
+    if not kept.exists():
+        with tempfile.TemporaryDirectory() as name:
+            directory = Path(name)
+            sources = compile.copy_sources(["driver"], directory)
+            flags = [*compile.C_FLAGS, "-isystem", "fmi", "-s", "-o", "driver"]
+            libraries = ["-ldl"] if target.suffix == ".so" else []
+            compile.zig(["-target", target.machines[0].zig, *flags, *sources, *libraries], directory)
+            compile.publish(kept, (directory / "driver").read_bytes())
+    return kept.read_bytes()
+
+
+def drive(
+    fmu_path: Path,
+    inputs: Real,
+    h: float,
+    platform: str | None = None,
+    starts: Mapping[str, float] | None = None,
+    prefix: Sequence[str] | None = None,
+) -> tuple[Real, np.ndarray]:
+    """Step an .fmu with given inputs.
+
+    Parameters
+    ----------
+    fmu_path : Path
+        The .fmu.
+    inputs : array, shape [steps, n_inputs]
+        Values of all inputs before every step, in the order of modelDescription.xml. Row 0 is also set in
+        Initialization Mode.
+    h : float
+        Communication step size, s.
+    platform : str, optional
+        Which binary to run; this machine's by default. ``win64`` runs under wine, ``aarch64-linux`` under qemu.
+    starts : mapping, optional
+        Variable name -> value, set before initialization.
+    prefix : sequence of str, optional
+        Command that runs the program instead of `runner`'s.
+
+    Returns
+    -------
+    outputs : array, shape [steps, n_outputs]
+        Values of all outputs after every step, in the order of modelDescription.xml.
+    step_ns : array of uint64, shape [steps]
+        Wall time of every fmi2DoStep, ns.
+
+    Raises
+    ------
+    InputError
+        The platform cannot be run here, the .fmu has no binary for it, or the inputs have a wrong shape.
+    WorkError
+        A call to the FMU failed; the message holds the log.
+    """
+    platform = platform or host_platform()
+    command = runner(platform) if prefix is None else list(prefix)
+    if command is None:
+        way_out = "Install wine64, or qemu-user with libc6-arm64-cross"
+        raise InputError("platform", "must be one that runs here", platform, way_out)
+    about = read_model_description(str(fmu_path))
+    references = {v.name: v.valueReference for v in about.modelVariables}
+    in_refs = [v.valueReference for v in about.modelVariables if v.causality == "input"]
+    out_refs = [v.valueReference for v in about.modelVariables if v.causality == "output"]
+    inputs = np.ascontiguousarray(inputs, "<f8")
+    if inputs.ndim != 2 or inputs.shape[1] != len(in_refs):
+        rule = f"must have the shape [steps, {len(in_refs)}]"
+        raise InputError("inputs", rule, inputs.shape, "Give one column for every input of modelDescription.xml")
+    given = starts or {}
+    unknown = [name for name in given if name not in references]
+    if unknown:
+        raise InputError("starts", "must name variables of the FMU", unknown[0], "See modelDescription.xml")
+
+    job = struct.pack("<4Q2d", len(inputs), len(given), len(in_refs), len(out_refs), _start_time(about), h)
+    job += b"".join(struct.pack("<Qd", references[name], value) for name, value in given.items())
+    job += struct.pack(f"<{len(in_refs) + len(out_refs)}Q", *in_refs, *out_refs) + inputs.tobytes()
+    with tempfile.TemporaryDirectory() as name:
+        directory = Path(name)
+        with zipfile.ZipFile(fmu_path) as archive:
+            archive.extractall(directory / "fmu")
+        library = f"fmu/binaries/{platform}/{about.coSimulation.modelIdentifier}{compile.target(platform).suffix}"
+        if not (directory / library).exists():
+            raise InputError(str(fmu_path), f"must hold a binary for {platform}", "none", "Build it for that platform")
+        program = directory / "driver.exe"
+        program.write_bytes(driver(platform))
+        program.chmod(0o755)
+        (directory / "job").write_bytes(job)
+        resources = (directory / "fmu/resources").as_posix()
+        drive_letter = "/Z:" if platform == "win64" and os.name != "nt" else ""  # wine's name of the root directory
+        location = f"file://{drive_letter}{'' if resources.startswith('/') else '/'}{quote(resources, safe='/:')}"
+        arguments = [f"./{library}", location, about.guid, "job", "result"]
+        run = subprocess.run(
+            [*command, str(program), *arguments], cwd=directory, env=_environment(), capture_output=True, text=True
+        )
+        if run.returncode != 0:
+            raise WorkError(f"the FMU failed on {platform} (exit code {run.returncode}):\n{run.stderr.strip()}")
+        result = (directory / "result").read_bytes()
+    step_ns = np.frombuffer(result, "<u8", len(inputs))
+    return np.frombuffer(result, "<f8", offset=8 * len(inputs)).reshape(len(inputs), len(out_refs)), step_ns
+
+
+def _start_time(about) -> float:  # fmpy's ModelDescription
+    experiment = about.defaultExperiment
+    return float(experiment.startTime) if experiment and experiment.startTime else 0.0
+
+
+def _environment() -> dict[str, str]:
+    # A Windows installation of its own, silent and without the parts that would ask for a download.
+    wine = {
+        "WINEPREFIX": str(compile.cache_directory() / "wine"),
+        "WINEDEBUG": "-all",
+        "WINEDLLOVERRIDES": "mscoree=;mshtml=;winemenubuilder.exe=",
+    }
+    return wine | os.environ

@@ -1,0 +1,95 @@
+"""Run an assembled scene in Python: the same step as in the FMU, compiled just in time."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_contact.assembly import Assembly
+from tissue_contact.errors import WorkError
+from tissue_contact.kernels.layout import Index, Model, Real, Scratch, State, pack
+from tissue_contact.kernels.step import initialize, step
+from tissue_contact.status import OK, STATUSES
+
+
+class Rollout(NamedTuple):
+    """What a rollout gives."""
+
+    outputs: Real  # shape [n + 1, outputs], row 0 at the start, row k at the end of step k
+    state: State  # at the end
+
+
+class Instance:
+    """One running copy of an assembled scene.
+
+    ``parameters``, ``inputs`` and ``outputs`` may be read and set at any time; `step` reads and fills them.
+    """
+
+    def __init__(self, assembly: Assembly) -> None:
+        self._assembly = assembly
+        self.model: Model = assembly.model
+        self.state, self._index, self._real = pack(assembly.state)
+        self.scratch: Scratch
+        self.scratch, _, _ = pack(assembly.scratch)
+        self.parameters = assembly.parameters.copy()
+        self.inputs = assembly.inputs.copy()
+        self.outputs = assembly.outputs.copy()
+
+    def copy_state(self) -> tuple[Index, Real]:
+        """Copy of everything that persists, for `restore_state`."""
+        return self._index.copy(), self._real.copy()
+
+    def restore_state(self, saved: tuple[Index, Real]) -> None:
+        """Return to a state that `copy_state` gave."""
+        self._index[:], self._real[:] = saved
+
+    def initialize(self) -> None:
+        """Put the instruments at the poses of the inputs; outputs follow. Raises WorkError."""
+        self._index[:], self._real[:] = self._assembly.state_index, self._assembly.state_real
+        self._done(initialize(self.model, self.parameters, self.state, self.inputs, self.outputs, self.scratch))
+
+    def step(self, h: float) -> None:
+        """One communication step h [s]. Raises WorkError; the state from before the step then stays."""
+        saved = self.copy_state()
+        status = step(self.model, self.parameters, self.state, self.inputs, h, self.outputs, self.scratch)
+        if status != OK:
+            self.restore_state(saved)
+        self._done(status)
+
+    def _done(self, status: int) -> None:
+        if status != OK:
+            raise WorkError(STATUSES[status].message % tuple(self.scratch.detail))
+
+
+def rollout(assembly: Assembly, inputs: Real, h: float, parameters: Real | None = None) -> Rollout:
+    """Run a scene from its start with the input of every step given.
+
+    Parameters
+    ----------
+    assembly : Assembly
+    inputs : shape [n + 1, inputs]
+        Row 0 is set before the first step, row k at the beginning of step k: the instruments reach it at its end.
+    h : float
+        Communication step [s].
+    parameters : shape [parameters], optional
+        Instead of the start values.
+
+    Raises
+    ------
+    WorkError
+        A step that could not be done: its number, its time and the reason.
+    """
+    instance = Instance(assembly)
+    if parameters is not None:
+        instance.parameters[:] = parameters
+    instance.inputs[:] = inputs[0]
+    instance.initialize()
+    outputs = np.empty((len(inputs), instance.outputs.size))
+    outputs[0] = instance.outputs
+    for n, row in enumerate(inputs[1:]):
+        instance.inputs[:] = row
+        try:
+            instance.step(h)
+        except WorkError as error:
+            raise WorkError(f"step {n + 1} at {n * h:g} s: {error}") from error
+        outputs[n + 1] = instance.outputs
+    return Rollout(outputs, instance.state)

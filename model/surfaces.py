@@ -1,0 +1,77 @@
+"""The surface that a tissue or an instrument of a scene names: its mesh or shape, put in its place."""
+
+from pathlib import Path
+
+import numpy as np
+from tissue_contact import geometry, shapes
+from tissue_contact.errors import InputError
+from tissue_contact.geometry import FloatArray, Surface
+from tissue_contact.scene import Instrument, Tissue
+
+
+def rotation_matrix(quaternion: tuple[float, ...]) -> FloatArray:
+    """Matrix of a unit quaternion w, x, y, z, shape (3, 3)."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def surface_of(body: Tissue | Instrument, folder: Path, place: str = "scene") -> Surface:
+    """Surface of a tissue in the world, or of an instrument in its body frame [m].
+
+    Parameters
+    ----------
+    body : Tissue or Instrument
+        What the scene declares.
+    folder : Path
+        Where relative mesh paths begin.
+    place : str
+        The scene file, for messages.
+
+    Raises
+    ------
+    InputError
+        A missing, unreadable or unsuitable mesh, a wrong unit scale, arguments that make no shape.
+
+    """
+    purpose = "tissue" if isinstance(body, Tissue) else "instrument"
+    here = f"{place}, {purpose}[{body.name}]"
+    try:
+        if body.shape is not None:
+            arguments = body.shape.model_dump(exclude={"kind"})
+            surface: Surface = getattr(shapes, body.shape.kind)(**arguments)
+            geometry.check_scale(geometry.inspect(surface), "shape")
+        else:
+            assert body.mesh is not None  # the scene holds one of the two
+            surface, _, _ = geometry.load(
+                folder / body.mesh,
+                scale=body.scale,
+                open_surface=body.open_surface,
+                many_parts=body.many_parts,
+                purpose=purpose,
+            )
+    except InputError as error:
+        raise InputError(f"{here}, {error.place}", error.rule, error.value, error.way_out) from error
+    shift = body.position if isinstance(body, Tissue) else body.offset
+    return _placed(surface, rotation_matrix(body.rotation), np.array(shift))
+
+
+def _placed(surface: Surface, rotation: FloatArray, shift: FloatArray) -> Surface:
+    if np.array_equal(rotation, np.eye(3)) and not shift.any():
+        return surface
+    axes = None if surface.axes is None else surface.axes @ rotation.T + shift
+    return Surface(surface.vertices @ rotation.T + shift, surface.triangles, surface.part, axes)
+
+
+def stl_bytes(surface: Surface) -> bytes:
+    """The surface as a binary STL file in metres; STL keeps seven digits of a coordinate."""
+    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    found = np.zeros(len(surface.triangles), record)
+    found["normal"] = geometry.triangle_normals(surface)
+    found["corners"] = surface.vertices[surface.triangles]
+    return bytes(80) + len(found).to_bytes(4, "little") + found.tobytes()

@@ -1,0 +1,456 @@
+"""Building an .fmu: what is in it, that it is the same every time, and what stops it."""
+
+import dataclasses
+import os
+import re
+import signal
+import struct
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.model_description import read_model_description
+from fmu_fixture import GAIN, KERNELS, PLATFORM, POSITION, PULL, VARIABLES, tiny_assembly, tiny_fmu
+from lxml import etree
+
+from tissue_contact.errors import InputError, WorkError
+from tissue_contact.fmu import archive, compile, description, entry, model_bin
+from tissue_contact.fmu.build import build
+from tissue_contact.fmu.check import check, fmi_functions
+from tissue_contact.fmu.exports import exported
+from tissue_contact.fmu.units import base_unit
+from tissue_contact.variables import Variable
+
+PNG = bytes.fromhex(
+    "89504e470d0a1a0a0000000d4948445200000001000000010802000000907753de0000000c49444154789c63f8ffff3f0005fe02fe"
+    "dccc59e70000000049454e44ae426082"
+)
+
+
+@pytest.fixture(scope="module")
+def everywhere(tmp_path_factory):
+    """An .fmu for every platform, with a picture."""
+    output = tmp_path_factory.mktemp("all") / "tiny.fmu"
+    return build(tiny_assembly(), output, picture=PNG, kernels=KERNELS)
+
+
+def entries(path):
+    with zipfile.ZipFile(path) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+# --- what the checkers say ------------------------------------------------------------------------------------
+
+
+def test_no_checker_finds_anything(everywhere):
+    assert check(everywhere) == []
+
+
+def test_content(everywhere):
+    names = set(entries(everywhere))
+    assert names >= {
+        "modelDescription.xml",
+        "model.png",
+        "resources/model.bin",
+        "resources/scene.toml",
+        "documentation/index.html",
+        "documentation/model.png",
+        "documentation/licenses/license.txt",
+        "binaries/linux64/tiny.so",
+        "binaries/win64/tiny.dll",
+        "binaries/darwin64/tiny.dylib",
+        "binaries/aarch64-linux/tiny.so",
+    }
+
+
+def rewritten(path, output, change):
+    """The .fmu with its entries changed by a function of the dictionary."""
+    content = entries(path)
+    change(content)
+    archive.write(output, content)
+    return output
+
+
+def edit(name, old, new):
+    def change(content):
+        assert old in content[name]
+        content[name] = content[name].replace(old, new)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "finding"),
+    [
+        (edit("modelDescription.xml", b'name="N/m"', b'name="N/mm"'), "N/mm"),
+        (edit("modelDescription.xml", b'<BaseUnit kg="1" s="-2"/>', b""), "not defined by a BaseUnit"),
+        (edit("modelDescription.xml", b'<BaseUnit kg="1" s="-2"/>', b'<BaseUnit kg="1" s="-1"/>'), "instead of"),
+        (edit("modelDescription.xml", b"Tiny scene", b"Another scene"), "not the hash"),
+        (edit("modelDescription.xml", b'guid="{', b'guid="{0'), "guid"),
+        (edit("modelDescription.xml", b'index="4"', b'index="99"'), "fmutool"),
+        (lambda c: c.pop("resources/model.bin"), "model.bin is missing"),
+        (lambda c: c.update({"resources/model.bin": c["resources/model.bin"][:-8] + bytes(8)}), "damaged"),
+        (lambda c: c.update({"binaries/linux64/other.so": c.pop("binaries/linux64/tiny.so")}), "must be called tiny.so"),
+        (lambda c: c.update({"binaries/linux32/tiny.so": c["binaries/linux64/tiny.so"]}), "no such platform"),
+        (lambda c: c.update({"binaries/linux64/tiny.so": b"nonsense"}), "no shared library"),
+        (lambda c: [c.pop(n) for n in list(c) if n.startswith("binaries/")], "no binary"),
+        (edit("binaries/linux64/tiny.so", b"fmi2SetTime\0", b"fmi2SatTime\0"), "exports fmi2SatTime"),
+        (edit("binaries/win64/tiny.dll", b"fmi2SetTime\0", b"fmi2SatTime\0"), "lacks fmi2SetTime"),
+        (lambda c: c.update({"../x": b""}), "no portable relative path"),
+    ],
+)
+def test_check_finds(everywhere, tmp_path, change, finding):
+    findings = check(rewritten(everywhere, tmp_path / "changed.fmu", change))
+    assert any(finding in f for f in findings), findings
+
+
+def test_check_needs_a_zip(tmp_path):
+    (tmp_path / "x.fmu").write_bytes(b"nothing")
+    with pytest.raises(InputError, match="must be a zip"):
+        check(tmp_path / "x.fmu")
+
+
+@pytest.mark.parametrize("platform", compile.ALL)
+def test_only_the_functions_of_fmi_are_exported(everywhere, platform):
+    (name,) = [n for n in entries(everywhere) if n.startswith(f"binaries/{platform}/")]
+    assert exported(entries(everywhere)[name]) == fmi_functions()
+    assert len(fmi_functions()) == 44
+
+
+def test_binaries_name_no_place_of_this_machine(everywhere):
+    places = [str(Path.home()), str(Path(sys.prefix)), str(Path(__file__).parents[1]), "/tmp/"]
+    for name, content in entries(everywhere).items():
+        if name.startswith("binaries/"):
+            for place in places:
+                # A message of the library shows /tmp/fmu/resources as an example.
+                assert place.encode() not in content.replace(b"file:///tmp/fmu/resources", b""), (name, place)
+
+
+def test_universal_binary_for_macos(everywhere):
+    content = entries(everywhere)["binaries/darwin64/tiny.dylib"]
+    magic, count = struct.unpack_from(">II", content)
+    assert (magic, count) == (0xCAFEBABE, 2)
+    for i, cpu in enumerate((0x01000007, 0x0100000C)):
+        kind, _, begin, size, alignment = struct.unpack_from(">5I", content, 8 + 20 * i)
+        assert kind == cpu
+        assert begin % 2**alignment == 0
+        assert content[begin : begin + 4] == b"\xcf\xfa\xed\xfe"
+        assert struct.unpack_from("<I", content, begin + 4)[0] == cpu
+        assert begin + size <= len(content)
+
+
+# --- the same bytes -------------------------------------------------------------------------------------------
+
+
+def test_same_assembly_gives_the_same_bytes(tmp_path, monkeypatch):
+    one = tiny_fmu(tmp_path).read_bytes()
+    monkeypatch.setenv("TISSUE_CONTACT_CACHE", str(tmp_path / "cache"))  # compiled again, from nothing
+    monkeypatch.setenv("TZ", "Asia/Tokyo")
+    monkeypatch.chdir(tmp_path)
+    # zig's own libraries may come from where they are: they are the compiler's, not ours.
+    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(tmp_path / "zig"))
+    assert tiny_fmu(tmp_path).read_bytes() == one
+    assert (tmp_path / "cache").is_dir()
+
+
+def test_any_change_changes_the_guid(fmu_path, tmp_path):
+    def guid(**changes):
+        return read_model_description(str(tiny_fmu(tmp_path, **changes))).guid
+
+    first = read_model_description(str(fmu_path)).guid
+    described = tuple(v._replace(description="other") for v in VARIABLES)
+    assert guid() == first
+    assert re.fullmatch(r"\{[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}\}", first)
+    others = [guid(vertices=4), guid(variables=described), guid(step_size=0.002), guid(name="tin_y")]
+    assert len({first, *others}) == 5
+
+
+def test_second_scene_takes_no_compiler(tmp_path, everywhere):
+    said = []
+    began = time.perf_counter()
+    build(tiny_assembly(name="second", vertices=1000), tmp_path / "a.fmu", on_progress=said.append, kernels=KERNELS)
+    assert time.perf_counter() - began < 2.0
+    assert not [s for s in said if "compiling" in s]
+
+
+def test_kernel_source_is_part_of_the_cache_key(tmp_path):
+    changed = tmp_path / "kernels.py"
+    changed.write_bytes(KERNELS.read_bytes() + b"\n")
+    assert compile.source_hash(changed) != compile.source_hash(KERNELS)
+
+
+# --- what stops it --------------------------------------------------------------------------------------------
+
+
+def changed_kernels(tmp_path, old, new):
+    text = KERNELS.read_text("utf-8")
+    assert old in text
+    path = tmp_path / "kernels.py"
+    path.write_text(text.replace(old, new), "utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("new", "symbol"),
+    [
+        ("    if inputs[0] > 1e9:\n        raise ValueError('no')\n    if h > 0.0:", "numba_gil_ensure|Py|NRT"),
+        ("    state.y[:] = np.zeros(state.y.size)\n    if h > 0.0:", "NRT"),
+    ],
+)
+def test_kernel_that_needs_python_fails_the_build(tmp_path, new, symbol):
+    kernels = changed_kernels(tmp_path, "    if h > 0.0:", new)
+    kernels.write_text("import numpy as np\n" + kernels.read_text("utf-8"), "utf-8")
+    output = tmp_path / "out" / "x.fmu"
+    output.parent.mkdir()
+    with pytest.raises(WorkError, match=f"needs .*({symbol}).*no C library has"):
+        build(tiny_assembly(), output, [PLATFORM], kernels=kernels)
+    assert list(output.parent.iterdir()) == []
+
+
+def test_kernel_that_numba_refuses(tmp_path):
+    kernels = changed_kernels(tmp_path, "    if h > 0.0:", "    if undefined_name > 0.0:")
+    with pytest.raises(WorkError, match="undefined_name"):
+        build(tiny_assembly(), tmp_path / "x.fmu", [PLATFORM], kernels=kernels)
+
+
+def test_c_warning_fails_the_build(tmp_path):
+    (tmp_path / "x.c").write_text("int f(void) { int unused; return 0; }", "utf-8")
+    with pytest.raises(WorkError, match="unused"):
+        compile.zig([*compile.C_FLAGS, "-c", "x.c"], tmp_path)
+
+
+def test_platforms(tmp_path):
+    with pytest.raises(InputError, match="must be one of linux64"):
+        build(tiny_assembly(), tmp_path / "x.fmu", ["linux63"], kernels=KERNELS)
+    with pytest.raises(InputError, match="at least one"):
+        build(tiny_assembly(), tmp_path / "x.fmu", [], kernels=KERNELS)
+
+
+def test_output_needs_a_directory(tmp_path):
+    with pytest.raises(InputError, match="existing directory"):
+        build(tiny_assembly(), tmp_path / "none" / "x.fmu", [PLATFORM], kernels=KERNELS)
+
+
+class Fails(dict):
+    """Entries of which one cannot be had."""
+
+    def __getitem__(self, name):
+        if name == "b":
+            raise KeyboardInterrupt
+        return super().__getitem__(name)
+
+
+def test_interrupted_build_leaves_what_was_there(tmp_path):
+    output = tmp_path / "x.fmu"
+    output.write_bytes(b"before")
+    with pytest.raises(KeyboardInterrupt):
+        archive.write(output, Fails(a=b"1" * 10**6, b=b"2", c=b"3"))
+    assert output.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [output]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs SIGINT")
+def test_interrupted_compilation_leaves_nothing(tmp_path):
+    (tmp_path / "out").mkdir()
+    code = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from fmu_fixture import tiny_fmu\n"
+        f"tiny_fmu({str(tmp_path / 'out')!r})"
+    )
+    environment = os.environ | {"TISSUE_CONTACT_CACHE": str(tmp_path / "cache")}
+    run = subprocess.Popen([sys.executable, "-c", code], env=environment, stderr=subprocess.DEVNULL)
+    time.sleep(4)
+    run.send_signal(signal.SIGINT)
+    assert run.wait(60) != 0
+    assert list((tmp_path / "out").iterdir()) == []
+    kept = [p for p in (tmp_path / "cache").iterdir() if p.is_file() and not p.name.startswith("kernels-")]
+    assert kept == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"variables": (*VARIABLES, VARIABLES[0])}, "must be unique"),
+        ({"variables": (VARIABLES[0]._replace(unit="furlong"), *VARIABLES[1:])}, "furlong"),
+        ({"variables": (VARIABLES[0]._replace(start=np.nan), *VARIABLES[1:])}, "tool.pull starts at nan"),
+        ({"variables": (VARIABLES[0]._replace(slot=2), *VARIABLES[1:])}, "slot 2"),
+        ({"state_real": np.zeros(3)}, "ends beyond"),
+        ({"inputs": np.zeros(2, np.float32)}, "assembly.inputs"),
+    ],
+)
+def test_assembly_that_contradicts_itself(tmp_path, changes, message):
+    with pytest.raises(WorkError, match=message):
+        tiny_fmu(tmp_path, **changes)
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- the description ------------------------------------------------------------------------------------------
+
+
+def test_description_holds_the_table(fmu_path):
+    about = read_model_description(str(fmu_path))
+    assert [v.name for v in about.modelVariables] == [v.name for v in VARIABLES]
+    for reference, (v, given) in enumerate(zip(about.modelVariables, VARIABLES, strict=True)):
+        assert v.valueReference == reference
+        assert (v.unit, v.description, v.type) == (given.unit, given.description, "Real")
+        bounds = (float(v.min) if v.min else -np.inf, float(v.max) if v.max else np.inf)
+        assert bounds == (given.minimum, given.maximum)
+    assert float(about.modelVariables[PULL].start) == 0.25
+    assert about.modelVariables[GAIN].variability == "tunable"
+    assert about.modelVariables[POSITION].start is None
+    experiment = about.defaultExperiment
+    assert (experiment.startTime, experiment.stopTime, experiment.stepSize) == ("0.0", "1.0", "0.001")
+    assert experiment.tolerance
+    simulation = about.coSimulation
+    assert simulation.canHandleVariableCommunicationStepSize
+    assert simulation.canGetAndSetFMUstate and simulation.canSerializeFMUstate
+    assert simulation.canNotUseMemoryManagementFunctions
+    assert not simulation.canBeInstantiatedOnlyOncePerProcess
+    assert not simulation.providesDirectionalDerivative
+
+
+def test_structure_lists_every_output_with_its_dependencies(fmu_path):
+    root = etree.fromstring(entries(fmu_path)["modelDescription.xml"])
+    for element, knowns in (("Outputs", "1 2"), ("InitialUnknowns", "1 2 6 7")):
+        unknowns = root.find(f"ModelStructure/{element}")
+        assert [u.get("index") for u in unknowns] == ["3", "4", "5"]
+        assert {u.get("dependencies") for u in unknowns} == {knowns}
+        assert {u.get("dependenciesKind") for u in unknowns} == {" ".join(["dependent"] * len(knowns.split()))}
+
+
+def test_description_has_no_time_stamp(fmu_path):
+    assert b"generationDateAndTime" not in entries(fmu_path)["modelDescription.xml"]
+
+
+@pytest.mark.parametrize(
+    ("unit", "base"),
+    [
+        ("1", {}),
+        ("m", {"m": 1}),
+        ("N", {"kg": 1, "m": 1, "s": -2}),
+        ("N.m", {"kg": 1, "m": 2, "s": -2}),
+        ("N.s/m", {"kg": 1, "s": -1}),
+        ("N/m", {"kg": 1, "s": -2}),
+        ("N/m3", {"kg": 1, "m": -2, "s": -2}),
+        ("N.s/m3", {"kg": 1, "m": -2, "s": -1}),
+        ("kg/m2", {"kg": 1, "m": -2}),
+        ("J", {"kg": 1, "m": 2, "s": -2}),
+        ("Pa", {"kg": 1, "m": -1, "s": -2}),
+        ("rad", {"rad": 1}),
+        ("m/s", {"m": 1, "s": -1}),
+        ("m/s2", {"m": 1, "s": -2}),
+        ("1/s", {"s": -1}),
+        ("s", {"s": 1}),
+    ],
+)
+def test_units(unit, base):
+    assert base_unit(unit) == base
+
+
+@pytest.mark.parametrize("unit", ["", "mm", "N*m", "N/", "2m"])
+def test_unknown_unit(unit):
+    if unit == "":
+        assert base_unit(unit) == {}
+        return
+    with pytest.raises(WorkError, match="unknown factor|ends"):
+        base_unit(unit)
+
+
+@pytest.mark.parametrize(
+    ("name", "identifier"), [("press", "press"), ("two tools", "two_tools"), ("3d", "_3d"), ("ä-b.c", "__b_c")]
+)
+def test_model_identifier(name, identifier):
+    assert description.model_identifier(name) == identifier
+
+
+def test_names_of_any_letters_and_numbers_survive(tmp_path):
+    variables = (*VARIABLES[:2], *VARIABLES[2:5], VARIABLES[5]._replace(description="Größe <&>\"'", start=1 / 3 + 1), VARIABLES[6])
+    path = tiny_fmu(tmp_path, variables=variables, description="5 µm < x & y")
+    about = read_model_description(str(path))
+    assert about.description == "5 µm < x & y"
+    assert about.modelVariables[GAIN].description == "Größe <&>\"'"
+    assert float(about.modelVariables[GAIN].start) == 1 / 3 + 1
+    assert check(path) == []
+
+
+def test_documentation_names_every_variable(everywhere):
+    page = entries(everywhere)["documentation/index.html"].decode()
+    for v in VARIABLES:
+        assert f"<code>{v.name}</code>" in page
+    assert "<&>" not in page  # escaped
+    etree.fromstring(page.replace("<!DOCTYPE html>", "").replace('<meta charset="utf-8">', "").replace(
+        '<img src="model.png" alt="tiny">', ""
+    ))
+
+
+def test_licences(everywhere):
+    texts = {n: c.decode() for n, c in entries(everywhere).items() if n.startswith("documentation/licenses/")}
+    assert "MIT License" in texts["documentation/licenses/license.txt"]
+    assert "Modelica Association" in texts["documentation/licenses/fmi-headers.txt"]
+    assert all(len(text) > 300 for text in texts.values())
+
+
+# --- the generated parts --------------------------------------------------------------------------------------
+
+
+def test_layout_hash_follows_the_status_table(monkeypatch):
+    from tissue_contact import status
+
+    before = entry.layout_hash()
+    changed = (*status.STATUSES[:-1], status.STATUSES[-1]._replace(discard=True))
+    monkeypatch.setattr(status, "STATUSES", changed)
+    assert entry.layout_hash() != before
+
+
+@pytest.mark.parametrize("message", ["only one %g", "%g %g %g", "%g %s", "100% of %g %g"])
+def test_status_message_must_be_a_safe_format(monkeypatch, message):
+    from tissue_contact import status
+
+    monkeypatch.setattr(status, "STATUSES", (status.STATUSES[0]._replace(message=message),))
+    with pytest.raises(WorkError, match="exactly two %g"):
+        compile.header()
+
+
+def test_checksum_is_fnv1a_by_words():
+    assert model_bin.checksum(b"") == 0xCBF29CE484222325
+    first = ((0xCBF29CE484222325 ^ 1) * 0x100000001B3) % 2**64
+    assert model_bin.checksum((1).to_bytes(8, "little")) == first
+
+
+# --- it runs --------------------------------------------------------------------------------------------------
+
+
+def test_fmpy_simulates_it(fmu_path):
+    result = fmpy.simulate_fmu(str(fmu_path), output_interval=0.1, start_values={"contact.stiffness": 4.0})
+    assert result["tool.force[1]"][-1] == 4.0 * 0.25
+    assert result["solver.steps"][-1] == 10.0
+
+
+def test_fmu_gives_the_bits_of_the_same_kernels_in_python(fmu):
+    import math
+
+    from fmu_importer import OK, Instance
+    from fmu_kernels import initialize, step
+
+    assembly = tiny_assembly()
+    made = Instance(fmu).start()
+    bundles = (assembly.model, assembly.parameters, assembly.state, assembly.inputs)
+    assert initialize(*bundles, assembly.outputs, assembly.scratch) == 0
+    for k in range(500):
+        assembly.inputs[0] = math.cos(0.1 * k)
+        assert made.set({PULL: assembly.inputs[0]}) == OK
+        assert made.step(k * 1e-3, 1e-3) == OK
+        assert step(*bundles, 1e-3, assembly.outputs, assembly.scratch) == 0
+        assert made.get(2, 3, 4)[1] == list(assembly.outputs)
+    made.free()
+
+
+def test_variable_without_bounds_has_none_in_the_description():
+    variable = Variable("a", "inputs", 0, "1", 0.0, -np.inf, np.inf, "")
+    assembly = dataclasses.replace(tiny_assembly(), variables=(variable,))
+    assert b"min=" not in description.write(assembly, "")
