@@ -11,7 +11,7 @@ from tissue_contact.fmu.compile import ALL, Progress
 
 
 def guid_of(description_blank: bytes, model_blank: bytes) -> str:
-    """The guid: a hash of modelDescription.xml and model.bin with empty guids, so only the two together run."""
+    """The guid: a hash of modelDescription.xml and model.bin, both with an empty guid."""
     digest = hashlib.sha256(description_blank + model_blank).hexdigest()
     return "{" + "-".join((digest[:8], digest[8:12], digest[12:16], digest[16:20], digest[20:32])) + "}"
 
@@ -55,7 +55,9 @@ def build(
     """
     progress = on_progress or (lambda _: None)
     if not platforms:
-        raise InputError("platforms", "must name at least one platform", "none", f"Choose from {', '.join(ALL)}")
+        raise InputError(
+            "platforms", "must name at least one platform", "none", f"Choose from {', '.join(ALL)}"
+        )
     targets = [compile.target(platform) for platform in platforms]
     output = Path(output)
     if not output.parent.is_dir():

@@ -8,7 +8,6 @@ from pathlib import Path, PurePosixPath
 
 from fmpy.validation import validate_fmu
 from lxml import etree
-
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.fmu import model_bin
 from tissue_contact.fmu.build import guid_of
@@ -62,7 +61,9 @@ def _zip(archive: zipfile.ZipFile) -> list[str]:
         if "\\" in name or name.startswith("/") or ".." in parts or ":" in name or not name.isascii():
             findings.append(f"zip: {name!r} is no portable relative path")
         if info.compress_type not in (zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED):
-            findings.append(f"zip: {name} is not compressed by deflate, the only method that every importer reads")
+            findings.append(
+                f"zip: {name} is not compressed by deflate, the only method that every importer reads"
+            )
         if info.flag_bits & 1:
             findings.append(f"zip: {name} is encrypted")
         if names.count(name) > 1:
@@ -75,7 +76,7 @@ def _toolbox(path: Path) -> list[str]:
     """Findings of fmu-manipulation-toolbox (``fmutool -check``), if it is installed."""
     try:
         from fmu_manipulation_toolbox.checker import get_checkers
-        from fmu_manipulation_toolbox.operations import FMU, FMUError
+        from fmu_manipulation_toolbox.operations import FMU
     except ImportError:
         return []
     records: list[str] = []
@@ -87,8 +88,8 @@ def _toolbox(path: Path) -> list[str]:
         with FMU(str(path)) as fmu:
             for checker in get_checkers():
                 fmu.apply_operation(checker())
-    except FMUError as error:
-        records.append(f"fmutool: {error.reason}")
+    except Exception as error:  # what it cannot read makes it fail in many ways, and each is a finding
+        records.append(f"fmutool: {error!r}")
     finally:
         logger.removeHandler(handler)
     return records
@@ -127,7 +128,7 @@ def _guid(content: dict[str, bytes], guid: str) -> list[str]:
     blank = model_bin.seal(model[:32] + bytes(64) + model[96:])
     description = content["modelDescription.xml"].replace(f'guid="{guid}"'.encode(), b'guid=""', 1)
     if guid_of(description, blank) != guid:
-        return ["the guid is not the hash of modelDescription.xml and resources/model.bin: one of them was changed"]
+        return ["the guid is not the hash of modelDescription.xml and model.bin: one of them was changed"]
     return []
 
 

@@ -1,10 +1,9 @@
 """From the kernels and the C files to one native library per platform.
 
-The kernels are generic (a scene is data), so a library serves every scene and is built once per version of the
-sources and tools: it is kept in a cache, keyed by a hash of all that goes into it.
+The kernels are generic (a scene is data), so a library serves every scene and is built once per version of
+the sources and tools: it is kept in a cache, keyed by a hash of all that goes into it.
 """
 
-import hashlib
 import importlib.metadata
 import json
 import os
@@ -19,9 +18,8 @@ from typing import NamedTuple
 
 import fmpy
 import llvmlite.binding as llvm
-
 import tissue_contact.kernels
-from tissue_contact import status
+from tissue_contact import cache, status
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.fmu import entry, model_bin
 
@@ -52,9 +50,7 @@ _X86_64 = {"baseline": "x86-64", "v3": "x86-64-v3"}
 TARGETS = {
     target.platform: target
     for target in (
-        Target(
-            "linux64", ".so", (Machine("x86_64-linux-gnu.2.17", "x86_64-unknown-linux-gnu", _X86_64),)
-        ),
+        Target("linux64", ".so", (Machine("x86_64-linux-gnu.2.17", "x86_64-unknown-linux-gnu", _X86_64),)),
         Target("win64", ".dll", (Machine("x86_64-windows-gnu", "x86_64-pc-windows-gnu", _X86_64),)),
         Target(
             "darwin64",
@@ -74,56 +70,45 @@ TARGETS = {
 
 ALL = tuple(TARGETS)
 
-# What a compiled kernel may take from the C library of the target; anything else would need Python at run time.
+# What a compiled kernel may take from the C library of the target; anything else would need Python at run
+# time.
 ALLOWED_SYMBOLS = frozenset(
-    "memset memcpy memmove sin cos tan asin acos atan atan2 sinh cosh tanh sqrt cbrt hypot exp exp2 expm1 log log2 "
-    "log10 log1p pow fmod floor ceil trunc round rint fabs fmin fmax copysign ldexp frexp".split()
+    ("memset", "memcpy", "memmove")
+    + ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh")
+    + ("sqrt", "cbrt", "hypot", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "pow", "fmod")
+    + ("floor", "ceil", "trunc", "round", "rint", "fabs", "fmin", "fmax", "copysign", "ldexp", "frexp")
 )
 
 Progress = Callable[[str], None]
 
 
-def cache_directory() -> Path:
-    """TISSUE_CONTACT_CACHE, or tissue-contact in the user's cache directory; made if missing."""
-    chosen = os.environ.get("TISSUE_CONTACT_CACHE")
-    if chosen:
-        directory = Path(chosen)
-    else:
-        base = os.environ.get("XDG_CACHE_HOME")
-        directory = (Path(base) if base else Path.home() / ".cache") / "tissue-contact"
-    directory.mkdir(parents=True, exist_ok=True)
-    return directory
-
-
-def _sources(kernels: Path) -> list[Path]:
-    here = Path(__file__).parent
-    return [
-        kernels,
-        *sorted(STEP_KERNELS.parent.glob("*.py")),
-        Path(status.__file__),
-        *(here / name for name in ("entry.py", "compile.py", "model_bin.py")),
-        *sorted(p for p in C_FILES.iterdir() if p.suffix in {".c", ".h", ".def"}),
-        *sorted(FMI_HEADERS.glob("fmi2*.h")),
-    ]
-
-
 def source_hash(kernels: Path) -> str:
-    """Hash of every source file and tool version that decides the bytes of a library, 16 hexadecimal digits."""
-    digest = hashlib.sha256()
-    for package in ("numba", "llvmlite", "ziglang", "numpy"):
-        digest.update(f"{package}=={importlib.metadata.version(package)}\n".encode())
-    for path in _sources(kernels):
-        content = path.read_bytes()
-        digest.update(f"{path.name} {len(content)}\n".encode() + content)
-    return digest.hexdigest()[:16]
+    """Hash of all that decides the bytes of a library: sources, layout and tool versions.
+
+    Every Python file beside ``kernels`` counts.
+    """
+    here = Path(__file__).parent
+    sources = [
+        *kernels.parent.glob("*.py"),
+        *(here / name for name in ("entry.py", "compile.py")),
+        *(p for p in C_FILES.iterdir() if p.suffix in {".c", ".h", ".def"}),
+        *FMI_HEADERS.glob("fmi2*.h"),
+    ]
+    packages = ("numba", "llvmlite", "ziglang", "numpy")
+    versions = [f"{package}=={importlib.metadata.version(package)}" for package in packages]
+    return cache.digest(sources, header(), entry.source(), *versions)
 
 
 def header() -> str:
     """The generated C header ``layout.h``: layout, entry signature, status table, log categories."""
     fields = entry.fields()
     block_of = [entry.BLOCKS.index(block) for _, _, block in fields]
-    detail = next(i for i, (bundle, field, _) in enumerate(fields) if (bundle, field) == ("scratch", "detail"))
-    arguments = ", ".join(["int32_t *status", "void **exception"] + [f"{c} {n}" for n, c in entry.ARGUMENTS.items()])
+    detail = next(
+        i for i, (bundle, field, _) in enumerate(fields) if (bundle, field) == ("scratch", "detail")
+    )
+    arguments = ", ".join(
+        ["int32_t *status", "void **exception"] + [f"{c} {n}" for n, c in entry.ARGUMENTS.items()]
+    )
     if [s.code for s in status.STATUSES] != list(range(len(status.STATUSES))):
         raise WorkError("the status table must be in the order of its codes, from 0 without a gap")
     rows = []
@@ -165,7 +150,7 @@ def publish(path: Path, content: bytes) -> None:
         try:
             file.write(content)
             file.close()
-            os.replace(file.name, path)
+            Path(file.name).replace(path)
         except BaseException:
             Path(file.name).unlink(missing_ok=True)
             raise
@@ -179,7 +164,7 @@ def kernels_ir(kernels: Path, version: str, progress: Progress) -> dict[str, tup
     WorkError
         numba refused a kernel; the message is numba's.
     """
-    kept = cache_directory() / f"kernels-{version}.json"
+    kept = cache.folder() / f"kernels-{version}.json"
     if not kept.exists():
         progress("compiling the kernels")
         with tempfile.TemporaryDirectory() as directory:
@@ -197,7 +182,8 @@ def kernels_ir(kernels: Path, version: str, progress: Progress) -> dict[str, tup
                 raise WorkError(f"the kernels do not compile ahead of time:\n{run.stderr.strip()}")
             names = json.loads((Path(directory) / "names.json").read_text("utf-8"))
             made = {
-                name: ((Path(directory) / f"{name}.ll").read_text("utf-8"), inner) for name, inner in names.items()
+                name: ((Path(directory) / f"{name}.ll").read_text("utf-8"), inner)
+                for name, inner in names.items()
             }
         publish(kept, json.dumps(made).encode())
     return {name: (ir, inner) for name, (ir, inner) in json.loads(kept.read_text("utf-8")).items()}
@@ -213,7 +199,9 @@ def assembly(ir: str, function: str, exported: str, triple: str, cpu: str) -> st
     """
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
-    machine = llvm.Target.from_triple(triple).create_target_machine(cpu=cpu, opt=3, reloc="pic", codemodel="default")
+    machine = llvm.Target.from_triple(triple).create_target_machine(
+        cpu=cpu, opt=3, reloc="pic", codemodel="default"
+    )
     # numba marks every kernel noinline; as one function the constants of a slice reach the loops.
     module = llvm.parse_assembly(re.sub(r"\bnoinline\b", "alwaysinline", ir))
     module.triple, module.data_layout = triple, str(machine.target_data)
@@ -239,8 +227,9 @@ def assembly(ir: str, function: str, exported: str, triple: str, cpu: str) -> st
     foreign = sorted(needed - ALLOWED_SYMBOLS)
     if foreign:
         raise WorkError(
-            f"{exported} needs {', '.join(foreign)}, which no C library has: a kernel allocates, raises, reshapes or "
-            'divides without error_model="numpy". Kernels may only do arithmetic on the arrays they are given'
+            f"{exported} needs {', '.join(foreign)}, which no C library has: a kernel allocates, prints, "
+            "reshapes, or assigns one array to another. Kernels may only do arithmetic on the numbers of the "
+            "arrays they are given"
         )
     return machine.emit_assembly(module)
 
@@ -254,7 +243,7 @@ def zig(arguments: Sequence[str], directory: Path) -> None:
         With what the compiler said.
     """
     command = [sys.executable, "-m", "ziglang", "cc", *arguments]
-    environment = {"ZIG_GLOBAL_CACHE_DIR": str(cache_directory() / "zig")} | os.environ
+    environment = {"ZIG_GLOBAL_CACHE_DIR": str(cache.folder() / "zig")} | os.environ
     run = subprocess.run(command, cwd=directory, env=environment, capture_output=True, text=True)
     if run.returncode != 0:
         raise WorkError(f"zig cc failed:\n{run.stderr.strip()}")
@@ -295,7 +284,8 @@ def _link(machine: Machine, suffix: str, ir: dict[str, tuple[str, str]]) -> byte
         return (directory / output).read_bytes()
 
 
-_CPU_TYPES = {0x01000007: 12, 0x0100000C: 14}  # Mach-O processor type -> alignment of its slice as a power of two
+# Mach-O processor type -> alignment of its slice as a power of two.
+_CPU_TYPES = {0x01000007: 12, 0x0100000C: 14}
 
 
 def universal(slices: Sequence[bytes]) -> bytes:
@@ -315,7 +305,9 @@ def universal(slices: Sequence[bytes]) -> bytes:
 def target(platform: str) -> Target:
     """The target of a platform; `InputError` if there is none."""
     if platform not in TARGETS:
-        raise InputError("platform", f"must be one of {', '.join(ALL)}", platform, "Name a platform of that list")
+        raise InputError(
+            "platform", f"must be one of {', '.join(ALL)}", platform, "Name a platform of that list"
+        )
     return TARGETS[platform]
 
 
@@ -333,7 +325,7 @@ def library(platform: str, kernels: Path = STEP_KERNELS, progress: Progress = la
     """
     chosen = target(platform)
     version = source_hash(kernels)
-    kept = cache_directory() / f"{platform}-{version}{chosen.suffix}"
+    kept = cache.folder() / f"{platform}-{version}{chosen.suffix}"
     if not kept.exists():
         ir = kernels_ir(kernels, version, progress)
         progress(f"compiling for {platform}")

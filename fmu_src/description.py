@@ -5,14 +5,14 @@ import math
 import re
 
 from lxml import etree
-
 from tissue_contact.assembly import Assembly
 from tissue_contact.errors import WorkError
 from tissue_contact.fmu.model_bin import LOG_CATEGORIES
 from tissue_contact.fmu.units import base_unit
 from tissue_contact.variables import CAUSALITY, VARIABILITY, Block
 
-# Relative tolerance that the description proposes; the substep follows from stability and does not depend on it.
+# Relative tolerance that the description proposes; the substep follows from stability and does not depend on
+# it.
 TOLERANCE = 1e-6
 
 
@@ -35,7 +35,9 @@ def number(value: float) -> str:
 def _check(assembly: Assembly) -> None:
     names = [v.name for v in assembly.variables]
     if len(set(names)) != len(names):
-        raise WorkError(f"variable names must be unique; twice: {sorted({n for n in names if names.count(n) > 1})}")
+        raise WorkError(
+            f"variable names must be unique; twice: {sorted({n for n in names if names.count(n) > 1})}"
+        )
     for v in assembly.variables:
         if v.block != "outputs" and not (math.isfinite(v.start) and v.minimum <= v.start <= v.maximum):
             raise WorkError(f"{v.name} starts at {v.start}, outside [{v.minimum}, {v.maximum}]")
@@ -79,7 +81,10 @@ def _structure(root: etree._Element, assembly: Assembly) -> None:
 
     structure = etree.SubElement(root, "ModelStructure")
     # Parameters are knowns of the initial values only; FMI does not list them for the outputs.
-    for element, knowns in (("Outputs", places("inputs")), ("InitialUnknowns", places("inputs", "parameters"))):
+    for element, knowns in (
+        ("Outputs", places("inputs")),
+        ("InitialUnknowns", places("inputs", "parameters")),
+    ):
         unknowns = etree.SubElement(structure, element)
         for index in places("outputs"):
             etree.SubElement(

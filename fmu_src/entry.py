@@ -1,9 +1,9 @@
 """The two native entries of the kernels, generated from the layout.
 
-An entry takes the blocks of the three bundles as raw pointers, slices them into the fields by the spans, and calls
-the same `step` or `initialize` that Python calls. ``python -m tissue_contact.fmu.entry DIRECTORY`` writes their LLVM
-IR; it runs as a process of its own because numba reads the target's instruction set from the environment once, when
-it is imported.
+An entry takes the blocks of the three bundles as raw pointers, slices them into the fields by the spans, and
+calls the same `step` or `initialize` that Python calls. ``python -m tissue_contact.fmu.entry DIRECTORY
+KERNELS`` writes their LLVM IR; it runs as a process of its own because numba reads the target's instruction
+set from the environment once, when it is imported.
 """
 
 import hashlib
@@ -13,7 +13,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-
 from tissue_contact import status
 from tissue_contact.kernels.layout import Model, Scratch, State, blocks
 

@@ -4,9 +4,8 @@ import struct
 
 from tissue_contact.errors import WorkError
 
-
-# Names that zig's Mach-O linker makes in every library and cannot hide; bound by two-level names, they collide with
-# nothing.
+# Names that zig's Mach-O linker makes in every library and cannot hide; bound by two-level names, they
+# collide with nothing.
 LINKER_NAMES = {"__dso_handle", "_mh_dylib_header"}
 
 
@@ -16,7 +15,9 @@ def _text(content: bytes, at: int) -> str:
 
 def _elf(content: bytes) -> set[str]:
     sections_at, entry_size, count = struct.unpack_from("<Q10xHH", content, 40)
-    sections = [struct.unpack_from("<IIQQQQIIQQ", content, sections_at + i * entry_size) for i in range(count)]
+    sections = [
+        struct.unpack_from("<IIQQQQIIQQ", content, sections_at + i * entry_size) for i in range(count)
+    ]
     names = set()
     for _, kind, _, _, offset, size, link, _, _, _ in sections:
         if kind != 11:  # SHT_DYNSYM
@@ -89,7 +90,7 @@ def _mach_o(content: bytes) -> set[str]:
 
 
 def exported(content: bytes) -> set[str]:
-    """Names that a 64-bit little-endian shared library exports; of a universal one, those of every slice together.
+    """Names that a 64-bit shared library exports; of a universal one, those of every slice together.
 
     Raises
     ------

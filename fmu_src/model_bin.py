@@ -10,18 +10,18 @@ All numbers are little-endian and every part begins at a multiple of 8 bytes::
     variables, bytes of names   u64, u64
     sizes of the nine blocks    u64 each, in the order of `entry.BLOCKS`
     start time                  f64, s
-    variables                   block u32, slot u32, start, min, max f64, offset of the name u64; one per value reference
+    variables                   one per value reference: block u32, slot u32, start, min, max f64,
+                                offset of the name u64
     names                       UTF-8, zero-terminated
     spans                       u64, begin and end of each field of Model, State, Scratch in its block
-    parameters, inputs, outputs, state_real (f64), state_index (u32)     what persists, as it is at the start
-    model_real (f64), model_index (u32)
+    what persists, at the start parameters, inputs, outputs, state_real f64; state_index u32
+    model_real, model_index     f64, u32
 """
 
 import struct
 import sys
 
 import numpy as np
-
 from tissue_contact.assembly import Assembly
 from tissue_contact.errors import WorkError
 from tissue_contact.fmu import entry
@@ -77,7 +77,9 @@ def write(assembly: Assembly, guid: str) -> bytes:
     for name, block in blocks.items():
         kind = np.uint32 if name.endswith("_index") else np.float64
         if block.dtype != kind or block.ndim != 1:
-            raise WorkError(f"assembly.{name} must be a vector of {kind.__name__}, it is {block.dtype}{block.shape}")
+            raise WorkError(
+                f"assembly.{name} must be a vector of {kind.__name__}, it is {block.dtype}{block.shape}"
+            )
     field_spans = np.concatenate([spans(getattr(assembly, bundle)) for bundle in entry.BUNDLES])
     for i, (bundle, field, block) in enumerate(entry.fields()):
         if field_spans[2 * i + 1] > blocks[block].size:

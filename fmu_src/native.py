@@ -1,5 +1,6 @@
-"""Run an .fmu through a small native program: for timing without Python in between, and for other platforms."""
+"""Run an .fmu through a small native program: to time it without Python, and for other platforms."""
 
+import importlib.metadata
 import os
 import platform as host
 import shutil
@@ -14,7 +15,7 @@ from urllib.parse import quote
 
 import numpy as np
 from fmpy import read_model_description
-
+from tissue_contact import cache
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.fmu import compile
 from tissue_contact.kernels.layout import Real
@@ -50,9 +51,10 @@ def runner(platform: str) -> list[str] | None:
 
 
 def driver(platform: str) -> bytes:
-    """The program of ``c/driver.c`` for a platform, from the cache or compiled now (about 3 s, Windows first 50 s)."""
+    """The program of ``c/driver.c`` for a platform, from the cache or compiled now."""
     target = compile.target(platform)
-    kept = compile.cache_directory() / f"driver-{platform}-{compile.source_hash(compile.STEP_KERNELS)}"
+    version = cache.digest([compile.C_FILES / "driver.c"], importlib.metadata.version("ziglang"))
+    kept = cache.folder() / f"driver-{platform}-{version}"
     if not kept.exists():
         with tempfile.TemporaryDirectory() as name:
             directory = Path(name)
@@ -84,7 +86,8 @@ def drive(
     h : float
         Communication step size, s.
     platform : str, optional
-        Which binary to run; this machine's by default. ``win64`` runs under wine, ``aarch64-linux`` under qemu.
+        Which binary to run; this machine's by default. ``win64`` runs under wine, ``aarch64-linux`` under
+        qemu.
     starts : mapping, optional
         Variable name -> value, set before initialization.
     prefix : sequence of str, optional
@@ -116,7 +119,9 @@ def drive(
     inputs = np.ascontiguousarray(inputs, "<f8")
     if inputs.ndim != 2 or inputs.shape[1] != len(in_refs):
         rule = f"must have the shape [steps, {len(in_refs)}]"
-        raise InputError("inputs", rule, inputs.shape, "Give one column for every input of modelDescription.xml")
+        raise InputError(
+            "inputs", rule, inputs.shape, "Give one column for every input of modelDescription.xml"
+        )
     given = starts or {}
     unknown = [name for name in given if name not in references]
     if unknown:
@@ -129,22 +134,36 @@ def drive(
         directory = Path(name)
         with zipfile.ZipFile(fmu_path) as archive:
             archive.extractall(directory / "fmu")
-        library = f"fmu/binaries/{platform}/{about.coSimulation.modelIdentifier}{compile.target(platform).suffix}"
+        library = (
+            f"fmu/binaries/{platform}/{about.coSimulation.modelIdentifier}{compile.target(platform).suffix}"
+        )
         if not (directory / library).exists():
-            raise InputError(str(fmu_path), f"must hold a binary for {platform}", "none", "Build it for that platform")
+            raise InputError(
+                str(fmu_path), f"must hold a binary for {platform}", "none", "Build it for that platform"
+            )
         program = directory / "driver.exe"
         program.write_bytes(driver(platform))
         program.chmod(0o755)
         (directory / "job").write_bytes(job)
         resources = (directory / "fmu/resources").as_posix()
-        drive_letter = "/Z:" if platform == "win64" and os.name != "nt" else ""  # wine's name of the root directory
-        location = f"file://{drive_letter}{'' if resources.startswith('/') else '/'}{quote(resources, safe='/:')}"
+        drive_letter = (
+            "/Z:" if platform == "win64" and os.name != "nt" else ""
+        )  # wine's name of the root directory
+        location = (
+            f"file://{drive_letter}{'' if resources.startswith('/') else '/'}{quote(resources, safe='/:')}"
+        )
         arguments = [f"./{library}", location, about.guid, "job", "result"]
         run = subprocess.run(
-            [*command, str(program), *arguments], cwd=directory, env=_environment(), capture_output=True, text=True
+            [*command, str(program), *arguments],
+            cwd=directory,
+            env=_environment(),
+            capture_output=True,
+            text=True,
         )
         if run.returncode != 0:
-            raise WorkError(f"the FMU failed on {platform} (exit code {run.returncode}):\n{run.stderr.strip()}")
+            raise WorkError(
+                f"the FMU failed on {platform} (exit code {run.returncode}):\n{run.stderr.strip()}"
+            )
         result = (directory / "result").read_bytes()
     step_ns = np.frombuffer(result, "<u8", len(inputs))
     return np.frombuffer(result, "<f8", offset=8 * len(inputs)).reshape(len(inputs), len(out_refs)), step_ns
@@ -158,7 +177,7 @@ def _start_time(about) -> float:  # fmpy's ModelDescription
 def _environment() -> dict[str, str]:
     # A Windows installation of its own, silent and without the parts that would ask for a download.
     wine = {
-        "WINEPREFIX": str(compile.cache_directory() / "wine"),
+        "WINEPREFIX": str(cache.folder() / "wine"),
         "WINEDEBUG": "-all",
         "WINEDLLOVERRIDES": "mscoree=;mshtml=;winemenubuilder.exe=",
     }

@@ -22,7 +22,8 @@ _NAMED: dict[str, dict[str, int]] = {
 def base_unit(unit: str) -> dict[str, int]:
     """Exponents of the SI base units in a unit such as ``N.s/m3``, the ones that are not 0.
 
-    ``.`` multiplies, ``/`` divides by the one factor after it, a trailing integer is a power. ``1`` is dimensionless.
+    ``.`` multiplies, ``/`` divides by the one factor after it, a trailing integer is a power. ``1`` is
+    dimensionless.
 
     Raises
     ------
@@ -30,7 +31,7 @@ def base_unit(unit: str) -> dict[str, int]:
         A factor is unknown.
     """
     total: dict[str, int] = {}
-    for sign, factor in re.findall(r"([./]?)([^./]+)", unit):
+    for sign, factor in re.findall(r"(^|[./])([^./]*)", unit):
         match = re.fullmatch(r"([A-Za-z]+|1)(-?\d+)?", factor)
         if match is None or match[1] not in _NAMED:
             raise WorkError(f"the unit {unit!r} of a variable has the unknown factor {factor!r}")

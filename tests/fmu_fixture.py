@@ -1,4 +1,4 @@
-"""A tiny assembly for the kernels of fmu_kernels.py, and an FMU of it."""
+"""A tiny assembly for the kernels of fmu_kernels/step.py, and an FMU of it."""
 
 import math
 import sys
@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from fmu_importer import Instance, Unpacked
 from tissue_contact.assembly import Assembly, start_values
 from tissue_contact.fmu.build import build
 from tissue_contact.kernels.layout import Model, Scratch, State, blocks, pack
 from tissue_contact.variables import Variable
 
-KERNELS = Path(__file__).with_name("fmu_kernels.py")
+KERNELS = Path(__file__).parent / "fmu_kernels" / "step.py"
 PLATFORM = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}[sys.platform]
 
 # Value references: the place in this table.
@@ -52,9 +51,9 @@ def tiny_assembly(name="tiny", vertices=3, variables=VARIABLES, **changes):
         "scratch": scratch,
         "scratch_index": scratch_index,
         "scratch_real": scratch_real,
-        "parameters": start_values(2, variables, "parameters"),
-        "inputs": start_values(2, variables, "inputs"),
-        "outputs": start_values(3, variables, "outputs"),
+        "parameters": start_values(2, VARIABLES, "parameters"),
+        "inputs": start_values(2, VARIABLES, "inputs"),
+        "outputs": start_values(3, VARIABLES, "outputs"),
         "variables": variables,
         "start_time": 0.0,
         "stop_time": 1.0,

@@ -153,4 +153,3 @@ class Instance:
     def deserialize(self, content):
         state = c_void_p()
         return self.call("fmi2DeSerializeFMUstate", content, c_size_t(len(content)), byref(state)), state
-

@@ -17,7 +17,6 @@ import pytest
 from fmpy.model_description import read_model_description
 from fmu_fixture import GAIN, KERNELS, PLATFORM, POSITION, PULL, VARIABLES, tiny_assembly, tiny_fmu
 from lxml import etree
-
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.fmu import archive, compile, description, entry, model_bin
 from tissue_contact.fmu.build import build
@@ -44,7 +43,7 @@ def entries(path):
         return {name: archive.read(name) for name in archive.namelist()}
 
 
-# --- what the checkers say ------------------------------------------------------------------------------------
+# --- what the checkers say ----------------------------------------------------------------------------------
 
 
 def test_no_checker_finds_anything(everywhere):
@@ -89,13 +88,19 @@ def edit(name, old, new):
     [
         (edit("modelDescription.xml", b'name="N/m"', b'name="N/mm"'), "N/mm"),
         (edit("modelDescription.xml", b'<BaseUnit kg="1" s="-2"/>', b""), "not defined by a BaseUnit"),
-        (edit("modelDescription.xml", b'<BaseUnit kg="1" s="-2"/>', b'<BaseUnit kg="1" s="-1"/>'), "instead of"),
+        (
+            edit("modelDescription.xml", b'<BaseUnit kg="1" s="-2"/>', b'<BaseUnit kg="1" s="-1"/>'),
+            "instead of",
+        ),
         (edit("modelDescription.xml", b"Tiny scene", b"Another scene"), "not the hash"),
         (edit("modelDescription.xml", b'guid="{', b'guid="{0'), "guid"),
         (edit("modelDescription.xml", b'index="4"', b'index="99"'), "fmutool"),
         (lambda c: c.pop("resources/model.bin"), "model.bin is missing"),
-        (lambda c: c.update({"resources/model.bin": c["resources/model.bin"][:-8] + bytes(8)}), "damaged"),
-        (lambda c: c.update({"binaries/linux64/other.so": c.pop("binaries/linux64/tiny.so")}), "must be called tiny.so"),
+        (edit("resources/model.bin", b"tool.wish", b"tool.wash"), "damaged"),
+        (
+            lambda c: c.update({"binaries/linux64/other.so": c.pop("binaries/linux64/tiny.so")}),
+            "must be called tiny.so",
+        ),
         (lambda c: c.update({"binaries/linux32/tiny.so": c["binaries/linux64/tiny.so"]}), "no such platform"),
         (lambda c: c.update({"binaries/linux64/tiny.so": b"nonsense"}), "no shared library"),
         (lambda c: [c.pop(n) for n in list(c) if n.startswith("binaries/")], "no binary"),
@@ -144,7 +149,7 @@ def test_universal_binary_for_macos(everywhere):
         assert begin + size <= len(content)
 
 
-# --- the same bytes -------------------------------------------------------------------------------------------
+# --- the same bytes -----------------------------------------------------------------------------------------
 
 
 def test_same_assembly_gives_the_same_bytes(tmp_path, monkeypatch):
@@ -173,24 +178,34 @@ def test_any_change_changes_the_guid(fmu_path, tmp_path):
 def test_second_scene_takes_no_compiler(tmp_path, everywhere):
     said = []
     began = time.perf_counter()
-    build(tiny_assembly(name="second", vertices=1000), tmp_path / "a.fmu", on_progress=said.append, kernels=KERNELS)
+    build(
+        tiny_assembly(name="second", vertices=1000),
+        tmp_path / "a.fmu",
+        on_progress=said.append,
+        kernels=KERNELS,
+    )
     assert time.perf_counter() - began < 2.0
     assert not [s for s in said if "compiling" in s]
 
 
 def test_kernel_source_is_part_of_the_cache_key(tmp_path):
-    changed = tmp_path / "kernels.py"
-    changed.write_bytes(KERNELS.read_bytes() + b"\n")
-    assert compile.source_hash(changed) != compile.source_hash(KERNELS)
+    copy = tmp_path / "step.py"
+    copy.write_bytes(KERNELS.read_bytes())
+    before = compile.source_hash(copy)
+    (tmp_path / "law.py").write_text("")
+    with_law = compile.source_hash(copy)
+    copy.write_bytes(KERNELS.read_bytes() + b"\n")
+    assert len({before, with_law, compile.source_hash(copy)}) == 3
 
 
-# --- what stops it --------------------------------------------------------------------------------------------
+# --- what stops it ------------------------------------------------------------------------------------------
 
 
 def changed_kernels(tmp_path, old, new):
     text = KERNELS.read_text("utf-8")
     assert old in text
-    path = tmp_path / "kernels.py"
+    path = tmp_path / "kernels" / "step.py"
+    path.parent.mkdir()
     path.write_text(text.replace(old, new), "utf-8")
     return path
 
@@ -198,8 +213,9 @@ def changed_kernels(tmp_path, old, new):
 @pytest.mark.parametrize(
     ("new", "symbol"),
     [
-        ("    if inputs[0] > 1e9:\n        raise ValueError('no')\n    if h > 0.0:", "numba_gil_ensure|Py|NRT"),
-        ("    state.y[:] = np.zeros(state.y.size)\n    if h > 0.0:", "NRT"),
+        ("    state.y[0] += np.zeros(state.y.size)[0]\n    if h > 0.0:", "NRT_"),
+        ("    state.y[:] = state.vx\n    if h > 0.0:", "NRT_"),  # shapes are compared, and it raises
+        ("    print(h)\n    if h > 0.0:", "numba_gil_ensure"),
     ],
 )
 def test_kernel_that_needs_python_fails_the_build(tmp_path, new, symbol):
@@ -278,7 +294,7 @@ def test_interrupted_compilation_leaves_nothing(tmp_path):
         ({"variables": (*VARIABLES, VARIABLES[0])}, "must be unique"),
         ({"variables": (VARIABLES[0]._replace(unit="furlong"), *VARIABLES[1:])}, "furlong"),
         ({"variables": (VARIABLES[0]._replace(start=np.nan), *VARIABLES[1:])}, "tool.pull starts at nan"),
-        ({"variables": (VARIABLES[0]._replace(slot=2), *VARIABLES[1:])}, "slot 2"),
+        ({"variables": (VARIABLES[0]._replace(slot=2), *VARIABLES[1:]), "inputs": np.zeros(2)}, "slot 2"),
         ({"state_real": np.zeros(3)}, "ends beyond"),
         ({"inputs": np.zeros(2, np.float32)}, "assembly.inputs"),
     ],
@@ -289,7 +305,7 @@ def test_assembly_that_contradicts_itself(tmp_path, changes, message):
     assert list(tmp_path.iterdir()) == []
 
 
-# --- the description ------------------------------------------------------------------------------------------
+# --- the description ----------------------------------------------------------------------------------------
 
 
 def test_description_holds_the_table(fmu_path):
@@ -320,7 +336,9 @@ def test_structure_lists_every_output_with_its_dependencies(fmu_path):
         unknowns = root.find(f"ModelStructure/{element}")
         assert [u.get("index") for u in unknowns] == ["3", "4", "5"]
         assert {u.get("dependencies") for u in unknowns} == {knowns}
-        assert {u.get("dependenciesKind") for u in unknowns} == {" ".join(["dependent"] * len(knowns.split()))}
+        assert {u.get("dependenciesKind") for u in unknowns} == {
+            " ".join(["dependent"] * len(knowns.split()))
+        }
 
 
 def test_description_has_no_time_stamp(fmu_path):
@@ -354,22 +372,25 @@ def test_units(unit, base):
 
 @pytest.mark.parametrize("unit", ["", "mm", "N*m", "N/", "2m"])
 def test_unknown_unit(unit):
-    if unit == "":
-        assert base_unit(unit) == {}
-        return
-    with pytest.raises(WorkError, match="unknown factor|ends"):
+    with pytest.raises(WorkError, match="unknown factor"):
         base_unit(unit)
 
 
 @pytest.mark.parametrize(
-    ("name", "identifier"), [("press", "press"), ("two tools", "two_tools"), ("3d", "_3d"), ("ä-b.c", "__b_c")]
+    ("name", "identifier"),
+    [("press", "press"), ("two tools", "two_tools"), ("3d", "_3d"), ("ä-b.c", "__b_c")],
 )
 def test_model_identifier(name, identifier):
     assert description.model_identifier(name) == identifier
 
 
 def test_names_of_any_letters_and_numbers_survive(tmp_path):
-    variables = (*VARIABLES[:2], *VARIABLES[2:5], VARIABLES[5]._replace(description="Größe <&>\"'", start=1 / 3 + 1), VARIABLES[6])
+    variables = (
+        *VARIABLES[:2],
+        *VARIABLES[2:5],
+        VARIABLES[5]._replace(description="Größe <&>\"'", start=1 / 3 + 1),
+        VARIABLES[6],
+    )
     path = tiny_fmu(tmp_path, variables=variables, description="5 µm < x & y")
     about = read_model_description(str(path))
     assert about.description == "5 µm < x & y"
@@ -383,9 +404,11 @@ def test_documentation_names_every_variable(everywhere):
     for v in VARIABLES:
         assert f"<code>{v.name}</code>" in page
     assert "<&>" not in page  # escaped
-    etree.fromstring(page.replace("<!DOCTYPE html>", "").replace('<meta charset="utf-8">', "").replace(
-        '<img src="model.png" alt="tiny">', ""
-    ))
+    etree.fromstring(
+        page.replace("<!DOCTYPE html>", "")
+        .replace('<meta charset="utf-8">', "")
+        .replace('<img src="model.png" alt="tiny">', "")
+    )
 
 
 def test_licences(everywhere):
@@ -395,7 +418,7 @@ def test_licences(everywhere):
     assert all(len(text) > 300 for text in texts.values())
 
 
-# --- the generated parts --------------------------------------------------------------------------------------
+# --- the generated parts ------------------------------------------------------------------------------------
 
 
 def test_layout_hash_follows_the_status_table(monkeypatch):
@@ -422,7 +445,7 @@ def test_checksum_is_fnv1a_by_words():
     assert model_bin.checksum((1).to_bytes(8, "little")) == first
 
 
-# --- it runs --------------------------------------------------------------------------------------------------
+# --- it runs ------------------------------------------------------------------------------------------------
 
 
 def test_fmpy_simulates_it(fmu_path):
@@ -435,7 +458,7 @@ def test_fmu_gives_the_bits_of_the_same_kernels_in_python(fmu):
     import math
 
     from fmu_importer import OK, Instance
-    from fmu_kernels import initialize, step
+    from fmu_kernels.step import initialize, step
 
     assembly = tiny_assembly()
     made = Instance(fmu).start()

@@ -18,7 +18,6 @@ from fmu_importer import (
     TERMINATED,
     Instance,
 )
-
 from tissue_contact import status
 
 MODES = ("instantiated", "initialization", "step", "failed", "terminated")
@@ -60,7 +59,8 @@ def with_state(action):
 
 EMPTY = (None, c_size_t(0), None)
 
-# Function -> (call, modes it is allowed in): table of FMI 2.0, section 4.2.4, with the freedoms that c/calls.def names.
+# Function -> (call, modes it is allowed in): table of FMI 2.0, section 4.2.4, with the freedoms that
+# c/calls.def names.
 ANY = set(MODES)
 STEPPING = {"step", "failed"}
 AFTER = STEPPING | {"terminated"}
@@ -167,7 +167,7 @@ def test_free_of_null_is_nothing(fmu):
     fmu.library.fmi2FreeInstance(None)
 
 
-# --- values ---------------------------------------------------------------------------------------------------
+# --- values -------------------------------------------------------------------------------------------------
 
 
 def test_start_values_can_be_read_at_once(instance):
@@ -256,7 +256,7 @@ def test_tunable_parameter_takes_effect_with_the_next_step(instance):
     assert instance.value(FORCE) == 25.0
 
 
-# --- failed steps ---------------------------------------------------------------------------------------------
+# --- failed steps -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("entry", status.STATUSES[1:], ids=lambda s: s.name)
@@ -295,7 +295,14 @@ def test_parameter_slot_is_named(instance):
 
 
 @pytest.mark.parametrize(
-    "name", ["fmi2GetStatus", "fmi2GetRealStatus", "fmi2GetIntegerStatus", "fmi2GetBooleanStatus", "fmi2GetStringStatus"]
+    "name",
+    [
+        "fmi2GetStatus",
+        "fmi2GetRealStatus",
+        "fmi2GetIntegerStatus",
+        "fmi2GetBooleanStatus",
+        "fmi2GetStringStatus",
+    ],
 )
 def test_status_of_a_kind_that_is_not_there_is_discarded(instance, name):
     instance.start()
@@ -304,7 +311,7 @@ def test_status_of_a_kind_that_is_not_there_is_discarded(instance, name):
     assert instance.messages == []  # a discarded call is told in debug logging only
 
 
-# --- log ------------------------------------------------------------------------------------------------------
+# --- log ----------------------------------------------------------------------------------------------------
 
 
 def test_message_goes_to_the_callers_environment_as_finished_text(fmu):
@@ -378,7 +385,7 @@ def test_no_logger_is_survived(fmu):
     made.free()
 
 
-# --- life -----------------------------------------------------------------------------------------------------
+# --- life ---------------------------------------------------------------------------------------------------
 
 
 def test_reset_restores_everything(fmu):
@@ -479,7 +486,9 @@ def resident_bytes():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
-@pytest.mark.skipif(not hasattr(ctypes, "CDLL") or not __import__("os").path.exists("/proc/self/statm"), reason="no /proc")
+@pytest.mark.skipif(
+    not hasattr(ctypes, "CDLL") or not __import__("os").path.exists("/proc/self/statm"), reason="no /proc"
+)
 def test_ten_thousand_instances_leak_nothing(fmu):
     def live_and_die(times):
         for _ in range(times):

@@ -8,7 +8,6 @@ from urllib.parse import quote
 import pytest
 from fmu_fixture import POSITION, tiny_fmu
 from fmu_importer import Instance, Unpacked
-
 from tissue_contact.fmu import model_bin
 
 
@@ -40,7 +39,9 @@ def test_location_is_found(place, form):
     made.free()
 
 
-@pytest.mark.parametrize("location", [None, b"", b"file:///nowhere/resources", b"http://host/x", b"file:", b"file://"])
+@pytest.mark.parametrize(
+    "location", [None, b"", b"file:///nowhere/resources", b"http://host/x", b"file:", b"file://"]
+)
 def test_location_that_does_not_do_is_explained(fmu, location):
     made = Instance(fmu, location=location)
     assert made.c is None
@@ -100,7 +101,18 @@ def test_truncated_or_longer(broken):
 # Offsets in model.bin, see model_bin: counts begin at 96, variables at 192.
 @pytest.mark.parametrize(
     ("at", "value"),
-    [(96, 6), (96, 2**60), (104, 2**63), (112, 0), (120, 2**61), (144, 2**64 - 1), (152, 2**50), (160, 1), (192, 9), (192, 2**32 * 9)],
+    [
+        (96, 6),
+        (96, 2**60),
+        (104, 2**63),
+        (112, 0),
+        (120, 2**61),
+        (144, 2**64 - 1),
+        (152, 2**50),
+        (160, 1),
+        (192, 9),
+        (192, 2**32 * 9),
+    ],
 )
 def test_contradiction_is_refused_even_with_a_right_checksum(broken, at, value):
     text = broken(lambda c: model_bin.seal(c[:at] + struct.pack("<Q", value) + c[at + 8 :]))

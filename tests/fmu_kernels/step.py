@@ -1,6 +1,7 @@
 """Kernels that are simple enough to know every answer, for the tests of the FMU around them.
 
-The state is one vertex at x that drifts with vx; input 0 pulls it, input 1 asks for a status, parameter 0 is a gain.
+The state is one vertex at x that drifts with vx; input 0 pulls it, input 1 asks for a status, parameter 0 is
+a gain.
 """
 
 import math
@@ -29,7 +30,7 @@ def initialize(model, parameters, state, inputs, outputs, scratch):
 
 @njit(error_model="numpy")
 def step(model, parameters, state, inputs, h, outputs, scratch):
-    """x += h (vx + sin(input 0)), and a count of steps; fails half-way if input 1 asks for it."""
+    """X += h (vx + sin(input 0)), and a count of steps; fails half-way if input 1 asks for it."""
     state.x[0] += h * (state.vx[0] + math.sin(inputs[0]))
     for i in range(state.y.size):
         state.y[i] = 0.5 * state.y[i] + h * model.rest_y[i] / (1.0 + state.x[0] * state.x[0])

@@ -1,0 +1,164 @@
+"""OHC collision detection against brute force, its cell classes, its sides and its regions."""
+
+import numpy as np
+import pytest
+from scenes import assembled, index, settled, write_mesh
+from scipy.spatial.transform import Rotation
+
+from tissue_contact.kernels.detection import EMPTY, FACING, POTENTIAL, REJECTED, SOLO
+from tissue_contact.kernels.step import initialize
+from tissue_contact.kernels.tritri import INTERSECT, intersect
+from tissue_contact.kernels.vectors import rotation
+from tissue_contact.simulate import Instance
+from tissue_contact.status import OK
+
+ROOM = np.zeros(256)
+
+SCENE = """
+    [[tissue]]
+    shape = {{ kind = "patch", size = [0.03, 0.03], triangles = {triangles}, curvature_radius = 0.05, seed = {seed} }}
+    areal_density = 1.0
+    stiffness = 100.0
+    [[instrument]]
+    shape = {instrument}
+    [[contact]]
+    stiffness = 100.0
+"""
+INSTRUMENTS = [
+    '{ kind = "capsule", radius = 0.002, length = 0.02, triangles = 200 }',
+    '{ kind = "box", size = [0.006, 0.004, 0.02], triangles = 300 }',
+    '{ kind = "grasper", radius = 0.002, length = 0.03, jaw_length = 0.012, opening = 0.5, triangles = 300 }',
+]
+
+
+def random_pose(rng: np.random.Generator) -> np.ndarray:
+    turn = Rotation.random(random_state=rng.integers(2**31)).as_quat(scalar_first=True)
+    return np.concatenate([rng.uniform(-0.006, 0.006, 3), turn])
+
+
+def deformed(instance: Instance, rng: np.random.Generator) -> None:
+    """Move every vertex: a wave, a dent and noise."""
+    state = instance.state
+    wave = 0.002 * np.sin(rng.uniform(100, 400) * state.x + rng.uniform(0, 6))
+    state.z[:] += wave - 0.004 * np.exp(-(state.x**2 + state.y**2) / 4e-5)
+    for axis in (state.x, state.y, state.z):
+        axis[:] += rng.normal(0, 3e-4, axis.size)
+
+
+def detect(instance: Instance) -> set[tuple[int, int]]:
+    """Detect at the pose of the inputs, without a pair rejected; the pairs."""
+    arguments = (instance.model, instance.parameters, instance.state, instance.inputs, instance.outputs)
+    assert initialize(*arguments, instance.scratch) == OK
+    n = int(instance.state.pair_count[0])
+    pairs = list(zip(instance.state.pair_triangle[:n].tolist(), instance.state.pair_instrument[:n].tolist(), strict=True))
+    assert pairs == sorted(pairs), "the order of the pairs must not depend on the hash"
+    assert len(pairs) == len(set(pairs)), "each pair once"
+    return set(pairs)
+
+
+def brute_force(instance: Instance) -> set[tuple[int, int]]:
+    """All pairs by testing every triangle against every other, with the same body coordinates as detection has."""
+    model, state, pose = instance.model, instance.state, instance.inputs
+    r = rotation(tuple(pose[3:7] / np.sqrt((pose[3:7] ** 2).sum())))
+    dx, dy, dz = state.x - pose[0], state.y - pose[1], state.z - pose[2]
+    x = r[0] * dx + r[3] * dy + r[6] * dz
+    y = r[1] * dx + r[4] * dy + r[7] * dz
+    z = r[2] * dx + r[5] * dy + r[8] * dz
+    tissue = [
+        tuple((x[v], y[v], z[v]) for v in corners)
+        for corners in zip(model.triangle_a, model.triangle_b, model.triangle_c, strict=True)
+    ]
+    ix, iy, iz = model.instrument_x, model.instrument_y, model.instrument_z
+    instrument = [
+        tuple((ix[v], iy[v], iz[v]) for v in corners)
+        for corners in zip(model.instrument_a, model.instrument_b, model.instrument_c, strict=True)
+    ]
+    return {
+        (t, u)
+        for t, a in enumerate(tissue)
+        for u, b in enumerate(instrument)
+        if intersect(*a, *b, ROOM) == INTERSECT
+    }
+
+
+@pytest.mark.parametrize("shape", INSTRUMENTS)
+def test_same_pairs_as_brute_force_on_deforming_meshes(shape):
+    seed = 21
+    rng = np.random.default_rng(seed)
+    assembly = assembled(SCENE.format(triangles=300, seed=seed, instrument=shape))
+    found, classes, rejected = 0, np.zeros(3, bool), 0
+    for trial in range(25):
+        instance = Instance(assembly)
+        deformed(instance, rng)
+        instance.inputs[:] = random_pose(rng)
+        kept = detect(instance)
+        expected = brute_force(instance)
+        sides = instance.state.side
+        lost = {pair for pair in expected if sides[pair[0]] == REJECTED}
+        assert kept == expected - lost, (seed, trial)
+        assert instance.state.rejected[0] == len(lost), (seed, trial)
+        assert {int(t) for t in np.flatnonzero(sides)} == {t for t, _ in expected}, (seed, trial)
+        if expected:
+            classes |= instance.scratch.cells > 0
+        found += len(expected)
+        rejected += len(lost)
+    assert found > 200
+    assert rejected > 0
+    assert classes[EMPTY] and classes[SOLO] and classes[POTENTIAL]
+
+
+def test_cell_classes_add_up_to_the_grid():
+    instance = settled(assembled(SCENE.format(triangles=300, seed=1, instrument=INSTRUMENTS[0])), [0, 0, -0.001, 1, 0, 0, 0])
+    assert instance.scratch.cells.sum() == instance.model.grid_size.prod()
+    assert instance.scratch.cells[POTENTIAL] <= instance.model.grid_occupied[0]
+
+
+def test_detection_with_nothing_near_finds_nothing():
+    assembly = assembled(SCENE.format(triangles=300, seed=1, instrument=INSTRUMENTS[0]))
+    instance = settled(assembly, [0, 0, 0.05, 1, 0, 0, 0])
+    assert instance.outputs[index(assembly, "solver.pairs")] == 0
+    assert not instance.state.side.any()
+
+
+def test_sides_are_forgotten_when_the_instrument_leaves():
+    instance = settled(assembled(SCENE.format(triangles=300, seed=1, instrument=INSTRUMENTS[0])), [0, 0, -0.002, 1, 0, 0, 0])
+    assert (instance.state.side == FACING).any()
+    instance.inputs[2] = 0.05
+    for _ in range(2):  # the first step ends away from the tissue
+        instance.step(1e-3)
+    assert not instance.state.side.any()
+    assert instance.outputs[index(instance._assembly, "solver.pairs")] == 0
+
+
+def test_two_places_are_two_regions(tmp_path):
+    """A fork with two prongs touches a flat sheet in two places."""
+    prong = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 10)], float) * 1e-3
+    faces = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]])  # fmt: skip
+    vertices = np.concatenate([prong - [0.006, 0, 0], prong + [0.005, 0, 0]])
+    mesh = write_mesh(tmp_path / "fork.obj", vertices, np.concatenate([faces, faces + 8]))
+    assembly = assembled(
+        f"""
+        [[tissue]]
+        shape = {{ kind = "patch", size = [0.03, 0.03], triangles = 800 }}
+        areal_density = 1.0
+        stiffness = 100.0
+        [[instrument]]
+        mesh = "{mesh}"
+        many_parts = true
+        [[contact]]
+        stiffness = 100.0
+        """,
+        tmp_path,
+    )
+    instance = settled(assembly, [0, 0, -0.001, 1, 0, 0, 0])
+    assert instance.outputs[index(assembly, "instrument.contacts")] == 2
+    # Each region has the whole stiffness of the contact: 2 x 100 N/m x 1 mm.
+    assert instance.outputs[index(assembly, "instrument.force[3]")] == pytest.approx(0.2, rel=1e-9)
+
+
+def test_capacity_exceeded_is_a_status_not_a_crash():
+    from tissue_contact.errors import WorkError
+
+    text = "[solver]\nmax_pairs = 16\n" + SCENE.format(triangles=2000, seed=1, instrument=INSTRUMENTS[0])
+    with pytest.raises(WorkError, match=r"more than 16 intersecting triangle pairs.*max_pairs"):
+        settled(assembled(text), [0, 0, -0.002, 1, 0, 0, 0])
