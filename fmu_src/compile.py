@@ -82,21 +82,24 @@ ALLOWED_SYMBOLS = frozenset(
 Progress = Callable[[str], None]
 
 
-def source_hash(kernels: Path) -> str:
-    """Hash of all that decides the bytes of a library: sources, layout and tool versions.
+def _versions(*packages: str) -> list[str]:
+    return [f"{package}=={importlib.metadata.version(package)}" for package in packages]
 
-    Every Python file beside ``kernels`` counts.
-    """
-    here = Path(__file__).parent
+
+def kernels_hash(kernels: Path) -> str:
+    """Hash of all that decides the IR of the kernels. Every Python file beside ``kernels`` counts."""
+    sources = [*kernels.parent.glob("*.py"), Path(entry.__file__)]
+    return cache.digest(sources, entry.source(), *_versions("numba", "llvmlite", "numpy"))
+
+
+def library_hash(kernels: Path) -> str:
+    """Hash of all that decides the bytes of a library: kernels, C files, layout and tool versions."""
     sources = [
-        *kernels.parent.glob("*.py"),
-        *(here / name for name in ("entry.py", "compile.py")),
+        Path(__file__),
         *(p for p in C_FILES.iterdir() if p.suffix in {".c", ".h", ".def"}),
         *FMI_HEADERS.glob("fmi2*.h"),
     ]
-    packages = ("numba", "llvmlite", "ziglang", "numpy")
-    versions = [f"{package}=={importlib.metadata.version(package)}" for package in packages]
-    return cache.digest(sources, header(), entry.source(), *versions)
+    return cache.digest(sources, kernels_hash(kernels), header(), *_versions("ziglang"))
 
 
 def header() -> str:
@@ -156,15 +159,15 @@ def publish(path: Path, content: bytes) -> None:
             raise
 
 
-def kernels_ir(kernels: Path, version: str, progress: Progress) -> dict[str, tuple[str, str]]:
-    """LLVM IR of the entries, unoptimised: entry -> (text, name of its function). Cached under ``version``.
+def kernels_ir(kernels: Path, progress: Progress) -> dict[str, tuple[str, str]]:
+    """LLVM IR of the entries, unoptimised: entry -> (text, name of its function). Cached.
 
     Raises
     ------
     WorkError
         numba refused a kernel; the message is numba's.
     """
-    kept = cache.folder() / f"kernels-{version}.json"
+    kept = cache.folder() / f"kernels-{kernels_hash(kernels)}.json"
     if not kept.exists():
         progress("compiling the kernels")
         with tempfile.TemporaryDirectory() as directory:
@@ -324,10 +327,9 @@ def library(platform: str, kernels: Path = STEP_KERNELS, progress: Progress = la
         A kernel or a C file does not compile or link.
     """
     chosen = target(platform)
-    version = source_hash(kernels)
-    kept = cache.folder() / f"{platform}-{version}{chosen.suffix}"
+    kept = cache.folder() / f"{platform}-{library_hash(kernels)}{chosen.suffix}"
     if not kept.exists():
-        ir = kernels_ir(kernels, version, progress)
+        ir = kernels_ir(kernels, progress)
         progress(f"compiling for {platform}")
         slices = [_link(machine, chosen.suffix, ir) for machine in chosen.machines]
         publish(kept, slices[0] if len(slices) == 1 else universal(slices))

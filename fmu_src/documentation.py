@@ -26,7 +26,8 @@ _MODEL = """
 <p>A tissue is a surface of springs, dampers and point masses. Vertex <i>i</i> with area <i>A<sub>i</sub></i>
 (a third of its triangles) and mass <i>m<sub>i</sub></i> (area times density) moves by</p>
 <p class="equation">
-<i>m<sub>i</sub></i> d<b>v</b><sub><i>i</i></sub>/d<i>t</i> = Σ<sub><i>j</i></sub> <b>f</b><sub><i>ij</i></sub>
+<i>m<sub>i</sub></i> d<b>v</b><sub><i>i</i></sub>/d<i>t</i> =
+Σ<sub><i>j</i></sub> <b>f</b><sub><i>ij</i></sub>
 − <i>A<sub>i</sub></i> (<i>k</i><sub>s</sub> (<b>x</b><sub><i>i</i></sub> − <b>x</b><sub><i>i</i>,0</sub>)
 + <i>c</i><sub>s</sub> <b>v</b><sub><i>i</i></sub>)
 + <b>f</b><sub><i>i</i>,contact</sub> + <i>m<sub>i</sub></i> <b>g</b>

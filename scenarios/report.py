@@ -73,7 +73,7 @@ def history(trace: Trace, instruments: Sequence[str], title: str) -> bytes:
         force = trace.vector(f"{name}.force")
         depth = trace.column(f"{name}.depth")
         size = np.linalg.norm(force, axis=1)
-        force_axes.plot(time, size, color="black", lw=1.6, label="magnitude")
+        force_axes.plot(time, size, color="0.75", lw=4.0, label="magnitude")
         for k, (part, colour) in enumerate(COMPONENT_COLOURS.items()):
             force_axes.plot(time, force[:, k], color=colour, lw=1.0, label=part)
         top = int(size.argmax())

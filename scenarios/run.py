@@ -186,12 +186,13 @@ def _outputs(description: ModelDescription) -> list[ScalarVariable]:
 def drive(
     slave: fmi2.FMU2Slave,
     description: ModelDescription,
+    steps: FloatArray,
     inputs: Mapping[str, FloatArray],
     parameters: Mapping[str, float],
     trace: Trace,
     on_rows: Callable[[int], None] = lambda rows: None,
 ) -> None:
-    """Step an instance through the times of `trace` and fill its rows.
+    """Step an instance through the times of `trace`, `steps` [s] apart, and fill its rows.
 
     The pose at the end of a step is set before it, so a row holds pose and force of one moment. `inputs` are
     values at the times of `trace`; an input that is not there keeps its start value. When a step fails or the
@@ -224,9 +225,9 @@ def drive(
     for row in range(1, len(time_of)):
         in_port.values[:] = trace.values[row, :n_in]
         in_port.write(slave)
-        before = time_of[row - 1]
+        before, step = time_of[row - 1], steps[row - 1]
         begin = time.perf_counter_ns()
-        slave.fmi2DoStep(slave.component, before, time_of[row] - before, 1)
+        slave.fmi2DoStep(slave.component, before, step, 1)
         trace.step_time[row] = 1e-9 * (time.perf_counter_ns() - begin)
         out_port.read(slave)
         trace.values[row, n_in:] = out_port.values
@@ -236,12 +237,17 @@ def drive(
     slave.terminate()
 
 
-def communication_points(stop_time: float, step: float) -> FloatArray:
-    """Times 0, step, 2 step … stop_time [s]; the last step is shorter when stop_time is no multiple."""
-    n = int(np.ceil(stop_time / step - 1e-9))
-    times = step * np.arange(n + 1)
+def communication_points(stop_time: float, step: float) -> tuple[FloatArray, FloatArray]:
+    """Times 0, step, 2 step … stop_time [s] and the steps between; the last is shorter when it must be.
+
+    Steps are not differences of times, whose last bits vary: every full step is the same number.
+    """
+    n = max(1, int(np.ceil(stop_time / step - 1e-9)))
+    times, steps = step * np.arange(n + 1), np.full(n, step)
+    if times[-1] - stop_time > 1e-9 * step:
+        steps[-1] = stop_time - times[-2]
     times[-1] = stop_time
-    return times
+    return times, steps
 
 
 # --- run --------------------------------------------------------------------------------------------------
@@ -290,7 +296,7 @@ def run(
 
     for remark in scenario.stimulus.remarks():
         console.print(remark, highlight=False, markup=False)
-    times = communication_points(scenario.duration, scenario.scene.solver.step)
+    times, steps = communication_points(scenario.duration, scenario.scene.solver.step)
     inputs = scenario.stimulus.sample(times)
     with _bar(console, progress) as bar:
         task = bar.add_task("", total=len(times))
@@ -306,6 +312,7 @@ def run(
                 drive(
                     slave,
                     description,
+                    steps,
                     inputs,
                     parameters,
                     trace,

@@ -191,11 +191,11 @@ def test_second_scene_takes_no_compiler(tmp_path, everywhere):
 def test_kernel_source_is_part_of_the_cache_key(tmp_path):
     copy = tmp_path / "step.py"
     copy.write_bytes(KERNELS.read_bytes())
-    before = compile.source_hash(copy)
+    before = compile.library_hash(copy)
     (tmp_path / "law.py").write_text("")
-    with_law = compile.source_hash(copy)
+    with_law = compile.library_hash(copy)
     copy.write_bytes(KERNELS.read_bytes() + b"\n")
-    assert len({before, with_law, compile.source_hash(copy)}) == 3
+    assert len({before, with_law, compile.library_hash(copy)}) == 3
 
 
 # --- what stops it ------------------------------------------------------------------------------------------
@@ -275,12 +275,23 @@ def test_interrupted_compilation_leaves_nothing(tmp_path):
     (tmp_path / "out").mkdir()
     code = (
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        "from fmu_fixture import tiny_fmu\n"
-        f"tiny_fmu({str(tmp_path / 'out')!r})"
+        "from pathlib import Path\n"
+        "from fmu_fixture import KERNELS, tiny_assembly\n"
+        "from tissue_contact.fmu.build import build\n"
+        "def tell(text): print(text, flush=True)\n"
+        f"build(tiny_assembly(), Path({str(tmp_path / 'out')!r}) / 'x.fmu', on_progress=tell, kernels=KERNELS)"
     )
     environment = os.environ | {"TISSUE_CONTACT_CACHE": str(tmp_path / "cache")}
-    run = subprocess.Popen([sys.executable, "-c", code], env=environment, stderr=subprocess.DEVNULL)
-    time.sleep(4)
+    run = subprocess.Popen(
+        [sys.executable, "-c", code],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    while not run.stdout.readline().startswith("compiling for"):
+        assert run.poll() is None
+    time.sleep(0.5)
     run.send_signal(signal.SIGINT)
     assert run.wait(60) != 0
     assert list((tmp_path / "out").iterdir()) == []

@@ -6,6 +6,7 @@ import numba
 
 from tissue_contact import cache
 
-# numba keys a cached function by its own file only; a kernel that was changed would live on inside its callers.
-_SOURCES = [*Path(__file__).parent.glob("*.py"), Path(__file__).parent.parent / "status.py"]
-numba.config.CACHE_DIR = str(cache.folder() / f"jit-{cache.digest(_SOURCES, numba.__version__)}")
+if not numba.config.CACHE_DIR:  # a folder that NUMBA_CACHE_DIR names is left as it is
+    # numba keys a cached function by its own file only; a kernel that was changed would live on inside its callers.
+    _SOURCES = [*Path(__file__).parent.glob("*.py"), Path(__file__).parent.parent / "status.py"]
+    numba.config.CACHE_DIR = str(cache.folder() / f"jit-{cache.digest(_SOURCES, numba.__version__)}")

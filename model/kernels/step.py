@@ -146,6 +146,13 @@ def _pose(state, scratch, i, elapsed):
 
 
 @inner
+def _settle(state, scratch):
+    """The poses of the inputs are those of the last communication point now."""
+    for k in range(state.pose.size):
+        state.pose[k] = scratch.pose[k]
+
+
+@inner
 def _detect_all(model, state, scratch, elapsed):
     for k in range(model.contact_instrument.size):
         r, p = _pose(state, scratch, model.contact_instrument[k], elapsed)
@@ -348,7 +355,7 @@ def initialize(model, parameters, state, inputs, outputs, scratch):
     status = _check(parameters, inputs, scratch)
     if status != OK:
         return status
-    state.pose[:] = scratch.pose
+    _settle(state, scratch)
     scratch.motion[:] = 0.0
     status = _detect_all(model, state, scratch, 0.0)
     if status != OK:
@@ -428,5 +435,5 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
             scratch.detail[0], scratch.detail[1] = v, total
             return NONFINITE_STATE
     _give(model, parameters, state, scratch, h, substeps, outputs)
-    state.pose[:] = scratch.pose
+    _settle(state, scratch)
     return OK

@@ -1,0 +1,155 @@
+"""The command: help, exit codes, one line of error, files whole or absent."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from tissue_contact import geometry
+from tissue_contact.shapes import ellipsoid
+from tissue_contact.surfaces import stl_bytes
+
+SCENE = """\
+name = "tiny"
+[solver]
+stop_time = 0.02
+[[tissue]]
+shape = { kind = "patch", size = [0.02, 0.02], triangles = 300 }
+areal_density = 1.0
+stiffness = 100.0
+[[instrument]]
+shape = { kind = "sphere", radius = 0.003, triangles = 128 }
+start_position = [0, 0, 0.001]
+[[contact]]
+stiffness = 300.0
+"""
+SCENARIO = '[[expect]]\noutput = "instrument.force[3]"\nstatistic = "max"\nat_most = 1.0\n'
+COMMANDS = ("build", "run", "check", "mesh", "schema")
+
+
+def command(*words: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    code = "from tissue_contact.cli import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", code, *map(str, words)], capture_output=True, text=True, cwd=cwd, timeout=600
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    made = tmp_path / "tiny"
+    made.mkdir()
+    (made / "scene.toml").write_text(SCENE)
+    (made / "scenario.toml").write_text(SCENARIO)
+    return made
+
+
+def one_line(text: str) -> str:
+    assert text.count("\n") == 1 and "Traceback" not in text, text
+    assert text.startswith("tissue-contact: ")
+    return text
+
+
+def test_help_is_quick_and_lists_the_commands() -> None:
+    taken = []
+    for _ in range(3):
+        begin = time.perf_counter()
+        done = command("--help")
+        taken.append(time.perf_counter() - begin)
+    assert done.returncode == 0
+    assert all(name in done.stdout for name in COMMANDS)
+    assert min(taken) < 0.5
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_help_shows_an_example(name: str) -> None:
+    assert f"Example: tissue-contact {name}" in command(name, "--help").stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["foo"], "No such command"),
+        (["run"], "Missing argument"),
+        (["build", "scene.toml"], "Missing option"),
+        (["run", "press", "--sett", "a=1"], "No such option"),
+    ],
+)
+def test_wrong_usage_is_2(words: list[str], message: str) -> None:
+    done = command(*words)
+    assert done.returncode == 2
+    assert message in done.stderr and done.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["run", "pres"], "press"),
+        (["run", "press", "--set", "contact.stiffness"], "NAME=VALUE"),
+        (["run", "press", "--set", "contact.stiffness=stiff"], "NAME=VALUE"),
+        (["run", "press", "--set", "=3"], "NAME=VALUE"),
+        (["build", "none.toml", "-o", "x.fmu"], "none.toml"),
+        (["build", "tiny/scene.toml", "-o", "x.zip"], ".fmu"),
+        (["build", "tiny/scene.toml", "-o", "x.fmu", "--platform", "linux"], "linux64"),
+        (["check", "none.fmu"], "none.fmu"),
+        (["mesh", "none.stl"], "none.stl"),
+    ],
+)
+def test_wrong_input_is_2_in_one_line(words: list[str], message: str, folder: Path) -> None:
+    done = command(*words, cwd=folder.parent)
+    assert done.returncode == 2
+    assert message in one_line(done.stderr) and done.stdout == ""
+    assert [p.name for p in folder.parent.iterdir()] == ["tiny"]
+
+
+def test_run_is_0_or_1_as_expected(folder: Path) -> None:
+    done = command("run", folder, "--no-figures", cwd=folder.parent)
+    assert done.returncode == 0, done.stderr
+    assert (folder.parent / "build/tiny/tiny.csv").is_file()
+    (folder / "scenario.toml").write_text(SCENARIO.replace("at_most = 1.0", "at_least = 1000.0"))
+    done = command("run", folder, "-o", folder.parent / "out", "--no-figures")
+    assert done.returncode == 1
+    assert "fails" in done.stdout and (folder.parent / "out/tiny.csv").is_file()
+
+
+def test_a_step_that_cannot_be_done_is_1(folder: Path) -> None:
+    (folder / "scene.toml").write_text(SCENE.replace("[solver]", "[solver]\nmax_substeps = 1"))
+    done = command("run", folder, "-o", folder.parent / "out", "--no-figures")
+    assert done.returncode == 1
+    assert "substeps" in one_line(done.stderr) and "Kept the 1 rows" in done.stderr
+    assert [p.name for p in (folder.parent / "out").iterdir()] == ["tiny.partial.csv"]
+
+
+def test_build_and_check(folder: Path) -> None:
+    fmu = folder / "x.fmu"
+    done = command("build", folder / "scene.toml", "-o", fmu, "--platform", "linux64")
+    assert done.returncode == 0, done.stderr
+    done = command("check", fmu)
+    assert (done.returncode, "no findings" in done.stdout) == (0, True), done.stdout
+    fmu.write_bytes(b"no zip")
+    assert command("check", fmu).returncode == 2
+
+
+def test_mesh_reports_repairs_and_judges(tmp_path: Path) -> None:
+    (tmp_path / "organ.stl").write_bytes(stl_bytes(ellipsoid((0.02, 0.03, 0.04), 300)))
+    done = command("mesh", tmp_path / "organ.stl", "--repair", tmp_path / "mended.stl")
+    assert done.returncode == 0
+    for part in (
+        "triangles",
+        "boundary edges",
+        "equal vertices merged",
+        "suits a tissue",
+        "suits an instrument",
+    ):
+        assert part in done.stdout
+    same = [geometry.inspect(geometry.read(tmp_path / name)).volume for name in ("organ.stl", "mended.stl")]
+    assert same[0] == pytest.approx(same[1], rel=1e-5)
+    done = command("mesh", tmp_path / "organ.stl", "--scale", "1000")
+    assert done.returncode == 1
+    assert "no tissue" in done.stdout and "scale" in done.stdout
+
+
+def test_schema_is_json() -> None:
+    found = json.loads(command("schema").stdout)
+    assert "tissue" in found["properties"]
