@@ -88,7 +88,7 @@ def _versions(*packages: str) -> list[str]:
 
 def kernels_hash(kernels: Path) -> str:
     """Hash of all that decides the IR of the kernels. Every Python file beside ``kernels`` counts."""
-    sources = [*kernels.parent.glob("*.py"), Path(entry.__file__)]
+    sources = [*kernels.parent.glob("*.py"), Path(entry.__file__), Path(__file__)]
     return cache.digest(sources, entry.source(), *_versions("numba", "llvmlite", "numpy"))
 
 
@@ -159,55 +159,35 @@ def publish(path: Path, content: bytes) -> None:
             raise
 
 
-def kernels_ir(kernels: Path, progress: Progress) -> dict[str, tuple[str, str]]:
-    """LLVM IR of the entries, unoptimised: entry -> (text, name of its function). Cached.
-
-    Raises
-    ------
-    WorkError
-        numba refused a kernel; the message is numba's.
-    """
-    kept = cache.folder() / f"kernels-{kernels_hash(kernels)}.json"
-    if not kept.exists():
-        progress("compiling the kernels")
-        with tempfile.TemporaryDirectory() as directory:
-            environment = os.environ | {
-                "NUMBA_OPT": "0",
-                "NUMBA_CPU_NAME": "x86-64",
-                "NUMBA_CPU_FEATURES": "",
-                # numba's own cache does not tell optimised from unoptimised code.
-                "NUMBA_CACHE_DIR": str(Path(directory) / "numba"),
-                "NUMBA_DISABLE_JIT": "0",
-            }
-            command = [sys.executable, "-m", "tissue_contact.fmu.entry", directory, str(kernels)]
-            run = subprocess.run(command, env=environment, capture_output=True, text=True)
-            if run.returncode != 0:
-                raise WorkError(f"the kernels do not compile ahead of time:\n{run.stderr.strip()}")
-            names = json.loads((Path(directory) / "names.json").read_text("utf-8"))
-            made = {
-                name: ((Path(directory) / f"{name}.ll").read_text("utf-8"), inner)
-                for name, inner in names.items()
-            }
-        publish(kept, json.dumps(made).encode())
-    return {name: (ir, inner) for name, (ir, inner) in json.loads(kept.read_text("utf-8")).items()}
+def _optimise(module: llvm.ModuleRef, machine: llvm.TargetMachine, vectorise: bool) -> None:
+    tuning = llvm.create_pipeline_tuning_options(speed_level=3)
+    tuning.loop_vectorization = tuning.slp_vectorization = tuning.loop_unrolling = vectorise
+    builder = llvm.create_pass_builder(machine, tuning)
+    passes = builder.getModulePassManager()
+    passes.add_refprune_pass()
+    passes.run(module, builder)
 
 
-def assembly(ir: str, function: str, exported: str, triple: str, cpu: str) -> str:
-    """Optimise IR for a processor and return its assembly, with only ``exported`` left visible to the linker.
+def _machine(triple: str, cpu: str) -> llvm.TargetMachine:
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    target = llvm.Target.from_triple(triple)
+    return target.create_target_machine(cpu=cpu, opt=3, reloc="pic", codemodel="default")
+
+
+def simplify(ir: str, function: str, exported: str) -> str:
+    """Reduce numba's IR to the one function ``exported``: all inlined, no reference counts, any processor.
+
+    It is 98 % of the work of optimisation and done once for all processors.
 
     Raises
     ------
     WorkError
         The code needs a symbol that a plain C library does not have; the message names it.
     """
-    llvm.initialize_all_targets()
-    llvm.initialize_all_asmprinters()
-    machine = llvm.Target.from_triple(triple).create_target_machine(
-        cpu=cpu, opt=3, reloc="pic", codemodel="default"
-    )
+    machine = _machine("x86_64-unknown-linux-gnu", "x86-64")
     # numba marks every kernel noinline; as one function the constants of a slice reach the loops.
     module = llvm.parse_assembly(re.sub(r"\bnoinline\b", "alwaysinline", ir))
-    module.triple, module.data_layout = triple, str(machine.target_data)
     for part in [*module.functions, *module.global_variables]:
         if part.is_declaration:
             continue
@@ -215,13 +195,8 @@ def assembly(ir: str, function: str, exported: str, triple: str, cpu: str) -> st
             part.name, part.linkage, part.visibility = exported, "external", "hidden"
         else:
             part.linkage = "internal"
-    for _ in range(2):
-        tuning = llvm.create_pipeline_tuning_options(speed_level=3)
-        tuning.loop_vectorization = tuning.slp_vectorization = True
-        builder = llvm.create_pass_builder(machine, tuning)
-        passes = builder.getModulePassManager()
-        passes.add_refprune_pass()
-        passes.run(module, builder)
+    for _ in range(2):  # what the first leaves of the reference counts, the second removes
+        _optimise(module, machine, vectorise=False)
     needed = {
         part.name
         for part in [*module.functions, *module.global_variables]
@@ -234,7 +209,51 @@ def assembly(ir: str, function: str, exported: str, triple: str, cpu: str) -> st
             "reshapes, or assigns one array to another. Kernels may only do arithmetic on the numbers of the "
             "arrays they are given"
         )
-    return machine.emit_assembly(module)
+    return str(module)
+
+
+def assembly(ir: str, exported: str, level: str, machine: Machine) -> str:
+    """Assembly of simplified IR for one level of a machine; the function is called ``{exported}_{level}``."""
+    target_machine = _machine(machine.triple, machine.levels[level])
+    module = llvm.parse_assembly(ir)
+    module.triple, module.data_layout = machine.triple, str(target_machine.target_data)
+    module.get_function(exported).name = f"{exported}_{level}"
+    _optimise(module, target_machine, vectorise=True)
+    return target_machine.emit_assembly(module)
+
+
+def kernels_ir(kernels: Path, progress: Progress) -> dict[str, str]:
+    """Simplified LLVM IR of every entry. Cached.
+
+    Raises
+    ------
+    WorkError
+        numba refused a kernel, or it needs more than a C library; the message says what.
+    """
+    kept = cache.folder() / f"kernels-{kernels_hash(kernels)}.json"
+    if not kept.exists():
+        progress("compiling the kernels")
+        with tempfile.TemporaryDirectory() as name:
+            directory = Path(name)
+            environment = os.environ | {
+                "NUMBA_OPT": "0",
+                "NUMBA_CPU_NAME": "x86-64",
+                "NUMBA_CPU_FEATURES": "",
+                # numba's own cache does not tell optimised from unoptimised code.
+                "NUMBA_CACHE_DIR": str(directory / "numba"),
+                "NUMBA_DISABLE_JIT": "0",
+            }
+            command = [sys.executable, "-m", "tissue_contact.fmu.entry", name, str(kernels)]
+            run = subprocess.run(command, env=environment, capture_output=True, text=True)
+            if run.returncode != 0:
+                raise WorkError(f"the kernels do not compile ahead of time:\n{run.stderr.strip()}")
+            functions = json.loads((directory / "names.json").read_text("utf-8"))
+            made = {
+                exported: simplify((directory / f"{exported}.ll").read_text("utf-8"), function, exported)
+                for exported, function in functions.items()
+            }
+        publish(kept, json.dumps(made).encode())
+    return json.loads(kept.read_text("utf-8"))
 
 
 def zig(arguments: Sequence[str], directory: Path) -> None:
@@ -265,17 +284,15 @@ def copy_sources(names: Sequence[str], directory: Path) -> list[str]:
     return [f"{name}.c" for name in names]
 
 
-def _link(machine: Machine, suffix: str, ir: dict[str, tuple[str, str]]) -> bytes:
+def _link(machine: Machine, suffix: str, ir: dict[str, str]) -> bytes:
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
         (directory / "layout.h").write_text(header(), "utf-8")
         inputs = copy_sources(LIBRARY_SOURCES, directory)
-        for level, cpu in machine.levels.items():
-            for exported, (text, function) in ir.items():
-                file = f"{exported}_{level}.s"
-                made = assembly(text, function, f"{exported}_{level}", machine.triple, cpu)
-                (directory / file).write_text(made, "utf-8")
-                inputs.append(file)
+        for level in machine.levels:
+            for exported, text in ir.items():
+                inputs.append(f"{exported}_{level}.s")
+                (directory / inputs[-1]).write_text(assembly(text, exported, level, machine), "utf-8")
         flags = [*C_FLAGS, "-isystem", "fmi", "-fvisibility=hidden", "-shared", "-s"]
         flags.append("-Wno-unused-command-line-argument")  # assembly files use only some of them
         if suffix == ".so":

@@ -312,7 +312,9 @@ def _model(scene: Scene, sheets: list[_Sheet], bodies: list[_Body]) -> Model:
     entry_start = _starts([len(b.cell_triangle) for b in bodies])
     probe_triangle, probe_weight = _probes(scene, sheets)
     hulls = _hulls(scene, bodies)
-    hull = _joined(hulls).reshape(-1, 3)
+    hull_start = _starts([len(h.vertices) for h in hulls])
+    hull = _joined([h.vertices for h in hulls]).reshape(-1, 3)
+    neighbours = [n + start for h, start in zip(hulls, hull_start, strict=False) for n in h.neighbours]
     names = {"tissue": [t.name for t in scene.tissue], "instrument": [i.name for i in scene.instrument]}
     contact_tissue = [names["tissue"].index(c.tissue) for c in scene.contact]
     return Model(
@@ -340,7 +342,9 @@ def _model(scene: Scene, sheets: list[_Sheet], bodies: list[_Body]) -> Model:
         contact_response=np.array([RESPONSES[c.response] for c in scene.contact]),
         contact_weighted=np.array([c.pair_weight != "none" for c in scene.contact]),
         contact_side_start=_starts([len(sheets[t].surface.triangles) for t in contact_tissue]),
-        hull_start=_starts([len(h) for h in hulls]),
+        hull_start=hull_start,
+        hull_edge_start=_starts([len(n) for n in neighbours]),
+        hull_neighbour=_joined(neighbours),
         probe_triangle=probe_triangle,
         substeps_fixed=np.array([scene.solver.substeps]),
         substeps_max=np.array([scene.solver.max_substeps]),
@@ -386,11 +390,11 @@ def _probes(scene: Scene, sheets: list[_Sheet]) -> tuple[IntArray, FloatArray]:
     return _shifted([f[0] for f in found], starts), np.concatenate([f[1] for f in found])
 
 
-def _hulls(scene: Scene, bodies: list[_Body]) -> list[FloatArray]:
-    """Hull vertices [m] of every part, none for an instrument of which no contact asks for them."""
+def _hulls(scene: Scene, bodies: list[_Body]) -> list[geometry.Hull]:
+    """Hull of every part, empty for an instrument of which no contact asks for it."""
     asked = {c.instrument for c in scene.contact if c.response == "hull"}
     return [
-        geometry.hull_vertices(body.surface, part) if instrument.name in asked else np.empty((0, 3))
+        geometry.convex_hull(body.surface, part) if instrument.name in asked else geometry.NO_HULL
         for instrument, body in zip(scene.instrument, bodies, strict=True)
         for part in range(len(body.half))
     ]
@@ -400,27 +404,16 @@ def _state(scene: Scene, model: Model) -> State:
     contacts, instruments = len(scene.contact), len(scene.instrument)
     capacity = contacts * scene.solver.max_pairs
     pose = [[*i.start_position, *i.start_orientation] for i in scene.instrument]
-    vertices = len(model.rest_x)
-    return State(
-        pair_count=np.zeros(contacts),
-        pair_triangle=np.zeros(capacity),
-        pair_instrument=np.zeros(capacity),
-        pair_region=np.zeros(capacity),
-        region_count=np.zeros(contacts),
-        rejected=np.zeros(contacts),
-        side=np.zeros(model.contact_side_start[-1]),
-        x=model.rest_x,
-        y=model.rest_y,
-        z=model.rest_z,
-        vx=np.zeros(vertices),
-        vy=np.zeros(vertices),
-        vz=np.zeros(vertices),
-        pose=np.array(pose).reshape(instruments * slots.POSE),
-        since_detection=np.zeros(1),
-        dissipated=np.zeros(1),
-        work=np.zeros(1),
-        energy_start=np.zeros(1),
-    )
+    sizes = {
+        **dict.fromkeys(("pairs", "rejected", "touches", "regions", "touch_load"), contacts),
+        **dict.fromkeys(("since_detection", "dissipated", "work", "energy_start"), 1),
+        "side": model.contact_side_start[-1],
+    }
+    start = {"x": model.rest_x, "y": model.rest_y, "z": model.rest_z, "pose": np.array(pose).ravel()}
+    for name in State._fields:
+        if name not in start:
+            start[name] = np.zeros(sizes.get(name, capacity if name.startswith("touch_") else len(model.rest_x)))
+    return State(**start)
 
 
 def _scratch(scene: Scene, model: Model) -> Scratch:
@@ -441,8 +434,10 @@ def _scratch(scene: Scene, model: Model) -> Scratch:
     for name in Scratch._fields:
         if name in sizes:
             continue
-        if name.startswith(("touch_", "region_")) or name == "parent":
+        if name.startswith(("touch_", "pair_")):
             sizes[name] = capacity
+        elif name.startswith("part_"):
+            sizes[name] = len(model.part_reach)
         elif name.startswith("unit_"):
             sizes[name] = len(model.spring_i) if damped else 0
         elif name in ("stamp", "hit"):

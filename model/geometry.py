@@ -7,7 +7,7 @@ import difflib
 from dataclasses import dataclass, field
 from itertools import permutations, product
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import trimesh
@@ -754,7 +754,22 @@ def nearest_place(surface: Surface, points: ArrayLike) -> tuple[IntArray, FloatA
     return triangle, weight
 
 
-def hull_vertices(surface: Surface, part: int) -> FloatArray:
-    """Vertices of the convex hull of one part [m], shape (n, 3)."""
-    vertices = surface.vertices[np.unique(surface.triangles[surface.part == part])]
-    return vertices[np.sort(ConvexHull(vertices, qhull_options="QJ Pp").vertices)]
+class Hull(NamedTuple):
+    """A convex hull: its vertices [m], shape (n, 3), and for each the vertices at the other ends of its edges."""
+
+    vertices: FloatArray
+    neighbours: list[IntArray]
+
+
+NO_HULL = Hull(np.empty((0, 3)), [])
+
+
+def convex_hull(surface: Surface, part: int) -> Hull:
+    """Convex hull of one part of a surface."""
+    points = surface.vertices[np.unique(surface.triangles[surface.part == part])]
+    # Joggled input (QJ): cocircular points make clean triangles, flat parts a hull of next to no thickness.
+    hull = ConvexHull(points, qhull_options="QJ Pp")
+    used = np.sort(hull.vertices)
+    corners = np.searchsorted(used, hull.simplices)
+    ends = np.unique(np.concatenate([corners[:, [i, j]] for i, j in permutations(range(3), 2)]), axis=0)
+    return Hull(points[used], np.split(ends[:, 1].astype(np.int32), np.searchsorted(ends[:, 0], np.arange(1, len(used)))))

@@ -285,8 +285,8 @@ class Contact(Settings):
     stiffness: float = quantity("N/m", 1, 1e7, "stiffness of the whole contact")
     damping: float = quantity("N.s/m", 0, 1e4, "damping of the whole contact", 0.0)
     law: Literal["kelvin_voigt"] = Field("kelvin_voigt", description="force law over depth")
-    response: Literal["oobb", "hull"] = Field(
-        "oobb", description="how depth is measured: support of the box, or of the convex hull, of an instrument's part"
+    response: Literal["hull", "oobb"] = Field(
+        "hull", description="how depth is measured: support of the hull or of the box of an instrument's part"
     )
     pair_weight: Literal["length", "none"] = Field(
         "length",

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from tissue_contact.scenarios.run import Outcome
 
 DOTS_PER_INCH = 160
+CANVAS = 1680  # [pixel] across, of which the picture is cut out
 ELEVATION, AZIMUTH = 24.0, -58.0  # [degree] of the camera above and round the tissue at the contact
 LIGHT = np.array([-0.45, -0.35, 0.82])  # towards the light, in the camera's upright frame
 AMBIENT = 0.42  # light that reaches every side
@@ -207,7 +208,7 @@ def picture(tissue: Mesh, rest: FloatArray, bodies: Sequence[Mesh], up: FloatArr
 
 def _rendered(faces: FloatArray, colours: FloatArray, solid: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Picture of faces [mm] with a scale bar, cropped to what is drawn; shape (rows, columns, 4)."""
-    figure = Figure(figsize=(14, 14), dpi=120)
+    figure = Figure(figsize=(CANVAS / 120, CANVAS / 120), dpi=120)
     canvas = FigureCanvasAgg(figure)
     axes: Axes3D = figure.add_axes((0, 0, 1, 1), projection="3d")
     # Edges in the colour of their face close the hairlines between neighbours; on glass they would show.

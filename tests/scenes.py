@@ -81,7 +81,7 @@ def chain(masses: int, stiffness: float, mass: float, spacing: float, damping: f
     )  # fmt: skip
     zeros = np.zeros(n)
     state = base.state._replace(**places, vx=zeros, vy=zeros, vz=zeros)
-    vertex_fields = ("outcode", "vertex_touch", "fx", "fy", "fz", "body_x", "body_y", "body_z", "loss", "vertex_weight")
+    vertex_fields = ("outcode", "fx", "fy", "fz", "body_x", "body_y", "body_z", "loss", "vertex_share")
     scratch = base.scratch._replace(
         **{name: zeros for name in vertex_fields},
         unit_x=springs, unit_y=springs, unit_z=springs, solve=np.zeros(9 * n if damping else 0),

@@ -49,8 +49,8 @@ def detect(instance: Instance) -> set[tuple[int, int]]:
     """Detect at the pose of the inputs, without a pair rejected; the pairs."""
     arguments = (instance.model, instance.parameters, instance.state, instance.inputs, instance.outputs)
     assert initialize(*arguments, instance.scratch) == OK
-    n = int(instance.state.pair_count[0])
-    pairs = list(zip(instance.state.pair_triangle[:n].tolist(), instance.state.pair_instrument[:n].tolist(), strict=True))
+    n, scratch = int(instance.state.pairs[0]), instance.scratch
+    pairs = list(zip(scratch.pair_triangle[:n].tolist(), scratch.pair_instrument[:n].tolist(), strict=True))
     assert pairs == sorted(pairs), "the order of the pairs must not depend on the hash"
     assert len(pairs) == len(set(pairs)), "each pair once"
     return set(pairs)

@@ -132,8 +132,7 @@ def test_binaries_name_no_place_of_this_machine(everywhere):
     for name, content in entries(everywhere).items():
         if name.startswith("binaries/"):
             for place in places:
-                # A message of the library shows /tmp/fmu/resources as an example.
-                assert place.encode() not in content.replace(b"file:///tmp/fmu/resources", b""), (name, place)
+                assert place.encode() not in content, (name, place)
 
 
 def test_universal_binary_for_macos(everywhere):
@@ -279,7 +278,8 @@ def test_interrupted_compilation_leaves_nothing(tmp_path):
         "from fmu_fixture import KERNELS, tiny_assembly\n"
         "from tissue_contact.fmu.build import build\n"
         "def tell(text): print(text, flush=True)\n"
-        f"build(tiny_assembly(), Path({str(tmp_path / 'out')!r}) / 'x.fmu', on_progress=tell, kernels=KERNELS)"
+        f"output = Path({str(tmp_path / 'out')!r}) / 'x.fmu'\n"
+        "build(tiny_assembly(), output, on_progress=tell, kernels=KERNELS)"
     )
     environment = os.environ | {"TISSUE_CONTACT_CACHE": str(tmp_path / "cache")}
     run = subprocess.Popen(

@@ -8,7 +8,7 @@ from urllib.parse import quote
 import pytest
 from fmu_fixture import POSITION, tiny_fmu
 from fmu_importer import Instance, Unpacked
-from tissue_contact.fmu import model_bin
+from tissue_contact.fmu import entry, model_bin
 
 
 @pytest.fixture(scope="module", params=["plain", "with some spaces", "grün 腹腔鏡", "100%25 real#x+y"])
@@ -46,6 +46,15 @@ def test_location_that_does_not_do_is_explained(fmu, location):
     made = Instance(fmu, location=location)
     assert made.c is None
     assert "model.bin" in made.text
+
+
+def test_plain_path_is_not_decoded(fmu, tmp_path):
+    (tmp_path / "a b").mkdir()
+    (tmp_path / "a b" / "model.bin").write_bytes(b"not this one")
+    shutil.copytree(fmu.directory / "resources", tmp_path / "a%20b")
+    made = Instance(fmu, location=str(tmp_path / "a%20b").encode())
+    assert made.c, made.text
+    made.free()
 
 
 def test_relative_path(fmu, monkeypatch):
@@ -117,6 +126,22 @@ def test_truncated_or_longer(broken):
 def test_contradiction_is_refused_even_with_a_right_checksum(broken, at, value):
     text = broken(lambda c: model_bin.seal(c[:at] + struct.pack("<Q", value) + c[at + 8 :]))
     assert "contradicts itself" in text
+
+
+@pytest.mark.parametrize(("field", "end"), [("model.rest_x", 10**6), ("scratch.detail", None)])
+def test_span_beyond_its_block_is_refused(broken, field, end):
+    place = [f"{bundle}.{name}" for bundle, name, _ in entry.fields()].index(field)
+
+    def change(content):
+        variables, names = struct.unpack_from("<2Q", content, 96)
+        at = 192 + 40 * variables + names + 16 * place
+        begin, before = struct.unpack_from("<2Q", content, at)
+        # The kernels leave two figures in scratch.detail: one is too few.
+        now = begin + 1 if end is None else end
+        assert now != before
+        return model_bin.seal(content[:at] + struct.pack("<2Q", begin, now) + content[at + 16 :])
+
+    assert "contradicts itself" in broken(change)
 
 
 def test_missing_model(fmu, tmp_path):

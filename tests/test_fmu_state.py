@@ -75,7 +75,7 @@ def test_state_in_initialization_mode_keeps_outputs_in_step_with_inputs(instance
     instance.set({PULL: 1.0})
     state = instance.save()  # before the outputs were asked for
     instance.exit()
-    advance(instance)
+    assert instance.step(0.0, 0.1) == OK
     assert instance.restore(state) == OK
     instance.drop(state)
     assert instance.value(FORCE) == 2.0

@@ -80,11 +80,11 @@ def test_step_of_no_length_refreshes_and_counts_nothing(instance):
         assert instance.step(0.3, 0.0) == OK
     assert instance.time() == 0.3
     assert instance.value(STEPS) == 0.0
-    assert instance.step(0.3, 0.1) == OK
-    assert instance.step(0.4, 0.0) == OK
-    assert instance.step(0.4, 0.1) == OK
-    assert instance.value(STEPS) == 2.0
-    assert instance.time() == 0.3 + 2 * 0.1
+    for k in range(1000):
+        assert instance.step(0.3 + k * 0.1, 0.1) == OK
+        assert instance.step(0.3 + (k + 1) * 0.1, 0.0) == OK
+    assert instance.value(STEPS) == 1000.0
+    assert instance.time() == 0.3 + 1000 * 0.1  # no rounding was added in between
 
 
 def test_changing_step_size(instance):
@@ -107,6 +107,13 @@ def test_stop_time(instance):
     assert "stopTime" in instance.text
     assert instance.step(time, 0.0) == OK
     assert instance.value(STEPS) == 10.0
+
+
+def test_last_step_ends_at_the_stop_time_but_for_rounding(instance):
+    instance.start(0.0, 0.3)
+    assert 0.2 + 0.1 > 0.3
+    for k in range(3):
+        assert instance.step(k * 0.1, 0.1) == OK, instance.text
 
 
 def test_no_stop_time(instance):

@@ -14,7 +14,7 @@ from tissue_contact.errors import InputError, WorkError
 from tissue_contact.files import publish
 from tissue_contact.scenarios import run as run_module
 from tissue_contact.scenarios.outcome import Trace, check_names, judge, summarise, write_csv
-from tissue_contact.scenarios.report import Mesh, history, picture
+from tissue_contact.scenarios.report import CANVAS, Mesh, _rendered, history, picture
 from tissue_contact.scenarios.run import Interrupted, communication_points, run, scene_key
 from tissue_contact.scenarios.scenario import Expectation, Scenario, read_scenario
 from tissue_contact.scenarios.stimulus import read_recording
@@ -130,18 +130,21 @@ def test_summary_of_a_made_up_trace() -> None:
             "p.force_1": [0, 3, 0, 0],
             "p.force_2": [0, 0, 0, 0],
             "p.force_3": [0, 4, 1, 0],
-            "p.depth": [0, 0.002, 0.001, 0],
+            "p.depth": [0, 0, 0.001, 0.002],
             "energy.balance": [0, 0, 0, 1e-6],
             "energy.work": [0, 4e-3, 3e-3, 2e-3],
         }
     )
+    made.time[:] = [0, 0.1, 0.3, 0.7]
     found = summarise(made)
     assert found.peak_force == {"p": 5.0} and found.peak_time == {"p": pytest.approx(0.1)}
     assert found.deepest == {"p": 0.002}
-    assert found.contact_time == {"p": pytest.approx(0.2)}
+    assert found.contact_time == {"p": pytest.approx(0.6)}
     assert (found.balance, found.work) == (1e-6, 4e-3)
-    assert (found.step_median, found.step_max) == (pytest.approx(2e-4), pytest.approx(3e-4))
-    assert found.real_time_factor == pytest.approx(0.3 / 6e-4)
+    assert found.step_median == pytest.approx(2e-4)
+    assert found.step_tail == pytest.approx(3e-4, rel=1e-3)
+    assert found.step_max == pytest.approx(3e-4)
+    assert found.real_time_factor == pytest.approx(0.7 / 6e-4)
 
 
 def test_communication_points() -> None:
@@ -290,6 +293,15 @@ def test_picture_shows_tissue_and_instrument_uncut() -> None:
         assert not drawn[0].any() and not drawn[-1].any() and not drawn[:, 0].any() and not drawn[:, -1].any()
         assert ((image[:, :, 0] - image[:, :, 2]) > 0.3).any()  # the red of the dent
         assert ((image[:, :, 2] - image[:, :, 0]) > 0.02).any()  # the steel
+
+
+def test_rendering_is_not_cut_at_the_edge_of_the_canvas() -> None:
+    rod = capsule(0.003, 0.03, 200)
+    faces = 1e3 * rod.vertices[rod.triangles]
+    for scale in ([1, 1, 1], [20, 1, 1], [1, 20, 1], [20, 20, 1]):
+        n = len(faces)
+        image = _rendered(faces * scale, np.tile([0.5, 0.5, 0.5, 1.0], (n, 1)), np.ones(n, bool))
+        assert max(image.shape[:2]) < CANVAS
 
 
 def test_history_draws_every_instrument() -> None:

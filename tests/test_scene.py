@@ -8,11 +8,12 @@ from pathlib import Path
 
 import jsonschema
 import pytest
+from scipy.spatial.transform import Rotation
 from tissue_contact import geometry, scene, shapes
 from tissue_contact.errors import InputError
 from tissue_contact.scene import Tissue, parse_scene, read_scene, scene_schema
 from tissue_contact.settings import setting
-from tissue_contact.surfaces import stl_bytes, surface_of
+from tissue_contact.surfaces import rotation_matrix, stl_bytes, surface_of
 
 TEXT = """\
 name = "press"
@@ -340,6 +341,11 @@ def test_a_shape_is_put_in_its_place() -> None:
     flat, turned = (surface_of(parsed(t).tissue[0], Path()) for t in (TEXT, TEXT.replace("areal", quarter)))
     assert turned.vertices == pytest.approx(flat.vertices[:, [2, 1, 0]] * (1, 1, -1) + (0.1, 0, 0), abs=1e-15)
     assert geometry.triangle_normals(turned).mean(axis=0)[0] == pytest.approx(1)
+
+
+def test_rotation_matrix_against_scipy() -> None:
+    w, x, y, z = quaternion = (0.5, -0.1, 0.7, 0.5)  # of norm 1
+    assert rotation_matrix(quaternion) == pytest.approx(Rotation.from_quat([x, y, z, w]).as_matrix())
 
 
 def test_axes_of_an_instrument_move_with_it() -> None:

@@ -310,5 +310,5 @@ def test_shipped_scenarios_begin_where_the_scene_puts_the_instrument(name: str) 
     scenario = read_scenario(name)
     for instrument in scenario.scene.instrument:
         start = scenario.stimulus.poses(np.zeros(1))[instrument.name]
-        assert start.position[0] == pytest.approx(instrument.start_position)
-        assert start.orientation[0] == pytest.approx(instrument.start_orientation)
+        assert start.position[0] == pytest.approx(instrument.start_position, abs=1e-3)  # recordings are noisy
+        assert abs(start.orientation[0] @ instrument.start_orientation) == pytest.approx(1, abs=1e-3)

@@ -114,7 +114,7 @@ void *read_resource(const char *location, const char *file, size_t *bytes, char 
     if (location == NULL || location[0] == '\0') {
         snprintf(why, why_size,
                  "fmuResourceLocation is %s: this FMU reads %s from its resources directory. Pass the location of the "
-                 "unpacked resources, for example file:///tmp/fmu/resources",
+                 "unpacked resources, for example file:///unpacked/resources",
                  location == NULL ? "NULL" : "empty", file);
         return NULL;
     }

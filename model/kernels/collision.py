@@ -106,16 +106,53 @@ def nearest(a, b, uu, uv, vv):
     return out
 
 
+@inner
+def pair_point(model, u, t1, e1, e2, n, nn):
+    """Point of collision of instrument triangle u on a tissue triangle, as areal coordinates, and the curve's length.
+
+    The tissue triangle is t1, t1 + e1, t1 + e2 in the body frame, n = e1 x e2, nn = n . n. The middle of the clipped
+    segment; where rounding leaves nothing of the segment, the nearest point of the triangle, with length 0; where the
+    instrument triangle does not cross the plane but for rounding, its middle takes the segment's place.
+    """
+    a, b, c = model.instrument_a[u], model.instrument_b[u], model.instrument_c[u]
+    i1 = (model.instrument_x[a], model.instrument_y[a], model.instrument_z[a])
+    i2 = (model.instrument_x[b], model.instrument_y[b], model.instrument_z[b])
+    i3 = (model.instrument_x[c], model.instrument_y[c], model.instrument_z[c])
+    s1 = dot(n, (i1[0] - t1[0], i1[1] - t1[1], i1[2] - t1[2]))
+    s2 = dot(n, (i2[0] - t1[0], i2[1] - t1[1], i2[2] - t1[2]))
+    s3 = dot(n, (i3[0] - t1[0], i3[1] - t1[1], i3[2] - t1[2]))
+    if min(s1, s2, s3) > 0.0 or max(s1, s2, s3) < 0.0 or (s1 == 0.0 and s2 == 0.0 and s3 == 0.0):
+        p1 = (
+            (i1[0] + i2[0] + i3[0]) / 3.0,
+            (i1[1] + i2[1] + i3[1]) / 3.0,
+            (i1[2] + i2[2] + i3[2]) / 3.0,
+        )
+        p2 = p1
+    else:
+        p1, p2 = plane_segment(i1, i2, i3, s1, s2, s3)
+    f = areal(p1, t1, e1, e2, n, nn)
+    g = areal(p2, t1, e1, e2, n, nn)
+    begin, end = clip(f, g)
+    if begin > end:
+        return nearest(f, g, dot(e1, e1), dot(e1, e2), dot(e2, e2)), 0.0
+    middle = 0.5 * (begin + end)
+    d = (p2[0] - p1[0], p2[1] - p1[1], p2[2] - p1[2])
+    return (
+        (f[0] + middle * (g[0] - f[0]), f[1] + middle * (g[1] - f[1]), f[2] + middle * (g[2] - f[2])),
+        (end - begin) * dot(d, d) ** 0.5,
+    )
+
+
 @kernel
-def penetration(p, inner, part, centre, axes, half):
+def penetration(p, inward, part, centre, axes, half):
     """Penetration vector D from the point of collision to the box of a part (thesis 3.6.3).
 
     D = sum over the box axes a of s_a d_a a, with the sign s_a that turns a to the inner side of the tissue and the
-    distance d_a from p to the face there. D . inner is exactly the box's support depth below the tissue plane.
+    distance d_a from p to the face there. D . inward is exactly the box's support depth below the tissue plane.
 
     Parameters
     ----------
-    p, inner : tuple of three
+    p, inward : tuple of three
         Point of collision [m] and the tissue's inner unit normal, body frame.
     part : int
         Which convex part; ``centre``, ``axes``, ``half`` as in `Model`.
@@ -125,7 +162,7 @@ def penetration(p, inner, part, centre, axes, half):
     for k in range(3):
         i = 9 * part + 3 * k
         a = (axes[i], axes[i + 1], axes[i + 2])
-        s = 1.0 if dot(a, inner) > 0.0 else -1.0
+        s = 1.0 if dot(a, inward) > 0.0 else -1.0
         d = s * (half[3 * part + k] + s * dot(w, a))
         dx += d * a[0]
         dy += d * a[1]
@@ -134,15 +171,22 @@ def penetration(p, inner, part, centre, axes, half):
 
 
 @kernel
-def hull_depth(p, inner, first, last, x, y, z):
-    """Support depth [m] of a convex hull, its vertices first to last of x, y, z, below the plane through p.
+def support(inward, start, edge_start, neighbour, x, y, z):
+    """Vertex of a convex hull that is farthest along a direction, found by climbing from vertex start.
 
-    The largest of inner . (vertex - p): what `penetration` gives for the box, for the part itself.
+    On a convex polyhedron a vertex without a higher neighbour is the highest.
     """
-    best = -math.inf
-    for v in range(first, last):
-        best = max(best, inner[0] * x[v] + inner[1] * y[v] + inner[2] * z[v])
-    return best - dot(inner, p)
+    best = start
+    height = inward[0] * x[best] + inward[1] * y[best] + inward[2] * z[best]
+    climbing = True
+    while climbing:
+        climbing = False
+        for k in range(edge_start[best], edge_start[best + 1]):
+            v = int(neighbour[k])
+            h = inward[0] * x[v] + inward[1] * y[v] + inward[2] * z[v]
+            if h > height:
+                best, height, climbing = v, h, True
+    return best
 
 
 @kernel

@@ -10,7 +10,7 @@ first pass, one change of frame for every vertex.
 
 from tissue_contact.kernels.compiled import inner
 
-from tissue_contact.kernels.collision import areal, clip, facing, nearest, plane_segment
+from tissue_contact.kernels.collision import facing, pair_point
 from tissue_contact.kernels.tritri import INTERSECT, intersect
 from tissue_contact.kernels.vectors import cross, dot
 from tissue_contact.status import OK, TOO_MANY_PAIRS
@@ -58,44 +58,6 @@ def _cell(value, low, edge, n):
     if not cell > 0.0:
         return 0
     return n - 1 if cell >= n else int(cell)
-
-
-@inner
-def pair_point(model, u, t1, e1, e2, n, nn):
-    """Point of collision of instrument triangle u on a tissue triangle, as areal coordinates, and the curve's length.
-
-    The tissue triangle is t1, t1 + e1, t1 + e2 in the body frame, n = e1 x e2, nn = n . n. The middle of the clipped
-    segment; where nothing of the segment is left (the pair has moved on since it was found), the nearest point of the
-    triangle, with length 0; where the instrument triangle does not reach the plane, its middle takes the segment's
-    place.
-    """
-    a, b, c = model.instrument_a[u], model.instrument_b[u], model.instrument_c[u]
-    i1 = (model.instrument_x[a], model.instrument_y[a], model.instrument_z[a])
-    i2 = (model.instrument_x[b], model.instrument_y[b], model.instrument_z[b])
-    i3 = (model.instrument_x[c], model.instrument_y[c], model.instrument_z[c])
-    s1 = dot(n, (i1[0] - t1[0], i1[1] - t1[1], i1[2] - t1[2]))
-    s2 = dot(n, (i2[0] - t1[0], i2[1] - t1[1], i2[2] - t1[2]))
-    s3 = dot(n, (i3[0] - t1[0], i3[1] - t1[1], i3[2] - t1[2]))
-    if min(s1, s2, s3) > 0.0 or max(s1, s2, s3) < 0.0 or (s1 == 0.0 and s2 == 0.0 and s3 == 0.0):
-        p1 = (
-            (i1[0] + i2[0] + i3[0]) / 3.0,
-            (i1[1] + i2[1] + i3[1]) / 3.0,
-            (i1[2] + i2[2] + i3[2]) / 3.0,
-        )
-        p2 = p1
-    else:
-        p1, p2 = plane_segment(i1, i2, i3, s1, s2, s3)
-    f = areal(p1, t1, e1, e2, n, nn)
-    g = areal(p2, t1, e1, e2, n, nn)
-    begin, end = clip(f, g)
-    if begin > end:
-        return nearest(f, g, dot(e1, e1), dot(e1, e2), dot(e2, e2)), 0.0
-    middle = 0.5 * (begin + end)
-    d = (p2[0] - p1[0], p2[1] - p1[1], p2[2] - p1[2])
-    return (
-        (f[0] + middle * (g[0] - f[0]), f[1] + middle * (g[1] - f[1]), f[2] + middle * (g[2] - f[2])),
-        (end - begin) * dot(d, d) ** 0.5,
-    )
 
 
 @inner
@@ -183,50 +145,8 @@ def _latch(model, scratch, latched, n, t1, t2, t3):
 
 
 @inner
-def _regions(model, state, scratch, contact, first):
-    """Number the contact regions: touched triangles that share a vertex, one after the other, are one region."""
-    count = state.pair_count[contact]
-    n = 0
-    for k in range(first, first + count):
-        t = state.pair_triangle[k]
-        scratch.vertex_touch[model.triangle_a[t]] = 0
-        scratch.vertex_touch[model.triangle_b[t]] = 0
-        scratch.vertex_touch[model.triangle_c[t]] = 0
-    for k in range(first, first + count):
-        t = state.pair_triangle[k]
-        if k > first and t == state.pair_triangle[k - 1]:
-            continue
-        scratch.parent[n] = n
-        for v in (model.triangle_a[t], model.triangle_b[t], model.triangle_c[t]):
-            if scratch.vertex_touch[v] == 0:
-                scratch.vertex_touch[v] = n + 1
-                continue
-            i, j = n, scratch.vertex_touch[v] - 1
-            while scratch.parent[i] != i:
-                i = scratch.parent[i]
-            while scratch.parent[j] != j:
-                j = scratch.parent[j]
-            scratch.parent[max(i, j)] = min(i, j)
-        n += 1
-    # A parent never comes after its child, so one pass in order gives every touched triangle its region.
-    regions = 0
-    for i in range(n):
-        if scratch.parent[i] == i:
-            scratch.parent[i] = regions
-            regions += 1
-        else:
-            scratch.parent[i] = scratch.parent[scratch.parent[i]]
-    n = 0
-    for k in range(first, first + count):
-        if k > first and state.pair_triangle[k] != state.pair_triangle[k - 1]:
-            n += 1
-        state.pair_region[k] = scratch.parent[n]
-    state.region_count[contact] = regions
-
-
-@inner
 def detect(model, state, scratch, contact, r, p):
-    """Find the intersecting triangle pairs of one contact, with their sides and regions, into the state.
+    """Find the intersecting triangle pairs of one contact, into scratch.pair_triangle and scratch.pair_instrument.
 
     Parameters
     ----------
@@ -238,7 +158,8 @@ def detect(model, state, scratch, contact, r, p):
     Returns
     -------
     int
-        Status. The pairs are each there once, ordered by tissue triangle, then instrument triangle.
+        Status. The pairs are each there once, ordered by tissue triangle, then instrument triangle; their number and
+        that of the rejected ones, and the latched sides, go to the state.
     """
     tissue, i = model.contact_tissue[contact], model.contact_instrument[contact]
     nx, ny, nz = model.grid_size[3 * i], model.grid_size[3 * i + 1], model.grid_size[3 * i + 2]
@@ -260,14 +181,12 @@ def detect(model, state, scratch, contact, r, p):
         scratch.body_z,
         scratch.outcode,
     )
-    capacity = state.pair_triangle.size // state.pair_count.size
-    first_pair = contact * capacity
+    capacity = scratch.pair_triangle.size
     sides = model.contact_side_start[contact]
     first, last = model.tissue_triangle_start[tissue], model.tissue_triangle_start[tissue + 1]
-    if common != 0 and state.pair_count[contact] == 0 and state.rejected[contact] == 0:
+    if common != 0 and state.pairs[contact] == 0 and state.rejected[contact] == 0:
         return OK  # nothing touches and nothing is latched
-    state.pair_count[contact] = 0
-    state.region_count[contact] = 0
+    state.pairs[contact] = 0
     state.rejected[contact] = 0
     if common != 0:
         for k in range(sides, sides + last - first):
@@ -300,12 +219,11 @@ def detect(model, state, scratch, contact, r, p):
             scratch.detail[1] = contact
             return TOO_MANY_PAIRS
         for k in range(n):
-            state.pair_triangle[first_pair + count + k] = t
-            state.pair_instrument[first_pair + count + k] = scratch.hit[k]
+            scratch.pair_triangle[count + k] = t
+            scratch.pair_instrument[count + k] = scratch.hit[k]
         count += n
-    state.pair_count[contact] = count
+    state.pairs[contact] = count
     occupied = model.grid_occupied[i]
     scratch.cells[EMPTY] = nx * ny * nz - scratch.cells[SOLO] - occupied
     scratch.cells[SOLO] += occupied - scratch.cells[POTENTIAL]
-    _regions(model, state, scratch, contact, first_pair)
     return OK

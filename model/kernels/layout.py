@@ -53,6 +53,8 @@ class Model(NamedTuple):
     contact_weighted: Index  # shape [K], 1: the pairs of a region share one force; 0: each pair has its own
     contact_side_start: Index  # shape [K + 1], where a pair's latched sides begin
     hull_start: Index  # shape [P + 1], where the hull vertices of a part begin; empty parts where no contact asks
+    hull_edge_start: Index  # shape [H + 1], where the neighbours of a hull vertex begin in hull_neighbour
+    hull_neighbour: Index  # shape [hull edges x 2], hull vertices at the other end of an edge
     probe_triangle: Index  # shape [Q]
     substeps_fixed: Index  # shape [1], 0: automatic
     substeps_max: Index  # shape [1]
@@ -92,21 +94,34 @@ class Model(NamedTuple):
 
 
 class State(NamedTuple):
-    """Everything that persists from step to step, contact memory included. A copy of it is the whole state."""
+    """Everything that persists from step to step, contact memory included. A copy of it is the whole state.
 
-    pair_count: Index  # shape [K], pairs held by each contact
-    pair_triangle: Index  # shape [K * capacity], tissue triangle of a pair
-    pair_instrument: Index  # shape [K * capacity], instrument triangle of a pair
-    pair_region: Index  # shape [K * capacity], contact region of a pair, counted from 0 in its contact
-    region_count: Index  # shape [K]
-    rejected: Index  # shape [K], pairs that the last detection rejected as passed through
-    side: Index  # shape [K's tissue triangles], latched side: 0 not touched, 1 facing, 2 rejected
+    A *touch* is a tissue triangle with its intersecting pairs with one part of an instrument. M is the capacity for
+    pairs of one contact; contact k has the entries from k M of every touch_ array.
+    """
+
+    pairs: Index  # shape [K], intersecting pairs of the last detection
+    rejected: Index  # shape [K], pairs that it rejected as passed through
+    side: Index  # shape [T of each contact], latched side: 0 not touched, 1 facing, 2 rejected
+    touches: Index  # shape [K]
+    regions: Index  # shape [K], parts of the instrument that touch
+    touch_triangle: Index  # shape [K M], tissue triangle
+    touch_part: Index  # shape [K M], part of the instrument
+    touch_support: Index  # shape [K M], hull vertex that was deepest at the last look
     x: Real  # [m], shape [V]
     y: Real  # [m], shape [V]
     z: Real  # [m], shape [V]
     vx: Real  # [m/s], shape [V]
     vy: Real  # [m/s], shape [V]
     vz: Real  # [m/s], shape [V]
+    touch_share: Real  # [1], shape [K M], share of the force of the part; the raw number of pairs if unweighted
+    touch_a: Real  # [1], shape [K M], areal coordinates of the point of collision
+    touch_b: Real  # [1], shape [K M]
+    touch_c: Real  # [1], shape [K M]
+    touch_nx: Real  # [1], shape [K M], inner normal of the triangle when it was found, world frame
+    touch_ny: Real  # [1], shape [K M]
+    touch_nz: Real  # [1], shape [K M]
+    touch_load: Real  # [1/m²], shape [K], largest share of a vertex over its area
     pose: Real  # [m, 1], shape [7 I], position and unit quaternion w, x, y, z at the last communication point
     since_detection: Real  # [s], shape [1]
     dissipated: Real  # [J], shape [1]
@@ -125,11 +140,8 @@ class Scratch(NamedTuple):
     cell_stamp: Index  # shape [C], 1 where a tissue triangle was met in a cell
     cells: Index  # shape [3], empty, solo and potentially colliding cells of the last detection
     hit: Index  # shape [U], instrument triangles that intersect one tissue triangle
-    parent: Index  # shape [M], touched triangles in the search for regions
-    vertex_touch: Index  # shape [V], touched triangle at a vertex, counted from 1; 0: none
-    touch_triangle: Index  # shape [M], touched tissue triangle
-    touch_region: Index  # shape [M]
-    touch_part: Index  # shape [M], part of the instrument that the triangle met
+    pair_triangle: Index  # shape [M], tissue triangle of a pair
+    pair_instrument: Index  # shape [M], instrument triangle of a pair
     detail: Real  # shape [2], figures for the message of a status
     expansion: Real  # shape [256], exact arithmetic
     fx: Real  # [N], shape [V], force on a vertex
@@ -139,32 +151,11 @@ class Scratch(NamedTuple):
     body_y: Real  # [m], shape [V]
     body_z: Real  # [m], shape [V]
     loss: Real  # [J], shape [V], dissipated at a vertex within the step
-    vertex_weight: Real  # [1], shape [V], share of a region's force that a vertex takes
-    touch_pairs: Real  # [1], shape [M], intersecting pairs of the triangle
+    vertex_share: Real  # [1], shape [V], share of the force that a vertex takes
     touch_length: Real  # [m], shape [M], length of the intersection curve within the triangle
-    touch_share: Real  # [1], shape [M], share of the region's force
-    touch_a: Real  # [1], shape [M], areal coordinates of the point of collision
-    touch_b: Real  # [1], shape [M]
-    touch_c: Real  # [1], shape [M]
-    touch_nx: Real  # [1], shape [M], inner normal of the tissue, body frame
-    touch_ny: Real  # [1], shape [M]
-    touch_nz: Real  # [1], shape [M]
-    touch_rx: Real  # [m], shape [M], point of collision, body frame
-    touch_ry: Real  # [m], shape [M]
-    touch_rz: Real  # [m], shape [M]
-    region_length: Real  # [m], shape [M], length of the intersection curve of a region
-    region_touches: Real  # [1], shape [M], touched triangles of a region
-    region_nx: Real  # [1], shape [M], mean inner normal, body frame
-    region_ny: Real  # [1], shape [M]
-    region_nz: Real  # [1], shape [M]
-    region_rx: Real  # [m], shape [M], mean point of collision, body frame
-    region_ry: Real  # [m], shape [M]
-    region_rz: Real  # [m], shape [M]
-    region_vx: Real  # [m/s], then [N], shape [M], velocity of the tissue at the point, then its force, world frame
-    region_vy: Real  # [m/s], then [N], shape [M]
-    region_vz: Real  # [m/s], then [N], shape [M]
-    region_depth: Real  # [m], shape [M]
-    region_mobility: Real  # [1/kg], shape [M], velocity that a unit impulse on the region gives
+    touch_pairs: Real  # [1], shape [M]
+    part_length: Real  # [m], shape [P], length of the intersection curve of a part
+    part_touches: Real  # [1], shape [P]
     pose: Real  # [m, 1], shape [7 I], pose of each instrument within the step
     motion: Real  # [m/s, rad/s], shape [6 I], velocity and angular velocity of each instrument
     contact: Real  # shape [12 I], see `response`: force, torque, depth, regions, weighted point

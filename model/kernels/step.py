@@ -48,6 +48,7 @@ from tissue_contact.kernels.slots import (
     TORQUE,
 )
 from tissue_contact.kernels.springs import add_springs, spring_energy
+from tissue_contact.kernels.touch import find_touches
 from tissue_contact.kernels.vectors import rotation, turn_between, turned
 from tissue_contact.status import (
     NONFINITE_INPUT,
@@ -159,6 +160,7 @@ def _detect_all(model, state, scratch, elapsed):
         status = detect(model, state, scratch, k, r, p)
         if status != OK:
             return status
+        find_touches(model, state, scratch, k, r)
     state.since_detection[0] = 0.0
     return OK
 
@@ -170,7 +172,7 @@ def _respond_all(model, parameters, state, scratch, elapsed, dt):
         scratch.contact[k] = 0.0
     stored = 0.0
     for k in range(model.contact_instrument.size):
-        if state.pair_count[k] > 0:
+        if state.touches[k] > 0:
             i = model.contact_instrument[k]
             r, p = _pose(state, scratch, i, elapsed)
             m = scratch.motion[6 * i : 6 * i + 6]
@@ -333,9 +335,9 @@ def _give(model, parameters, state, scratch, h, substeps, outputs):
     outputs[o + SUBSTEPS] = substeps
     outputs[o + REJECTED_PAIRS] = 0.0
     outputs[o + PAIRS] = 0.0
-    for k in range(state.pair_count.size):
+    for k in range(state.pairs.size):
         outputs[o + REJECTED_PAIRS] += state.rejected[k]
-        outputs[o + PAIRS] += state.pair_count[k]
+        outputs[o + PAIRS] += state.pairs[k]
     o += COMMON_OUTPUTS
     for k in range(model.probe_triangle.size):
         t = model.probe_triangle[k]

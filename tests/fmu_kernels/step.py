@@ -6,14 +6,19 @@ a gain.
 
 import math
 
+import numpy as np
 from numba import njit
+from tissue_contact.kernels.layout import State, blocks
+
+# The first field of whole numbers, whatever it is called, counts the steps.
+COUNT = list(blocks(State).values()).index(np.uint32)
 
 
 @njit(error_model="numpy")
 def _outputs(parameters, state, inputs, outputs):
     outputs[0] = parameters[0] * state.x[0]
     outputs[1] = parameters[0] * inputs[0]
-    outputs[2] = state.pair_count[0]
+    outputs[2] = state[COUNT][0]
 
 
 @njit(error_model="numpy")
@@ -35,7 +40,7 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
     for i in range(state.y.size):
         state.y[i] = 0.5 * state.y[i] + h * model.rest_y[i] / (1.0 + state.x[0] * state.x[0])
     if h > 0.0:
-        state.pair_count[0] += 1
+        state[COUNT][0] += 1
     _outputs(parameters, state, inputs, outputs)
     if inputs[1] != 0.0:
         scratch.detail[0] = 1.0
