@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, PrivateAttr, Tag, model_validator
+
 from tissue_contact.settings import (
     Settings,
     broken,
@@ -191,9 +192,7 @@ class _Body(Settings):
 class FixedBox(Settings):
     """The vertices inside a box of the world frame."""
 
-    box: Annotated[tuple[Point, ...], Field(min_length=2, max_length=2)] = items(
-        "m", "least and greatest corner"
-    )
+    box: Annotated[tuple[Point, ...], Field(min_length=2, max_length=2)] = items("m", "least and greatest corner")
 
     @model_validator(mode="after")
     def _ordered(self) -> "FixedBox":
@@ -208,9 +207,7 @@ def _fixed_form(value: object) -> str:
     return "word" if isinstance(value, str) else "table" if isinstance(value, dict | FixedBox) else "list"
 
 
-VertexList = Annotated[
-    tuple[Annotated[int, Field(ge=0, le=10_000_000)], ...], Field(min_length=1, strict=False)
-]
+VertexList = Annotated[tuple[Annotated[int, Field(ge=0, le=10_000_000)], ...], Field(min_length=1, strict=False)]
 Fixed = Annotated[
     Annotated[Literal["boundary", "none"], Tag("word")]
     | Annotated[VertexList, Tag("list")]
@@ -224,9 +221,7 @@ class Tissue(_Body):
 
     name: Name = Field("tissue", description="name, first part of the names of its variables")
     position: Point = items("m", "place of the surface's origin in the world", ORIGIN)
-    rotation: Quaternion = items(
-        "1", "rotation of the surface into the world, quaternion w, x, y, z", IDENTITY
-    )
+    rotation: Quaternion = items("1", "rotation of the surface into the world, quaternion w, x, y, z", IDENTITY)
     areal_density: float = quantity("kg/m2", 1e-3, 1e3, "mass per area")
     stiffness: float | None = quantity("N/m", 1e-2, 1e7, "stiffness of every structural spring", None)
     youngs_modulus: float | None = quantity(
@@ -262,9 +257,7 @@ class Instrument(_Body):
 
     name: Name = Field("instrument", description="name, first part of the names of its variables")
     offset: Point = items("m", "place of the mesh's origin in the body frame", ORIGIN)
-    rotation: Quaternion = items(
-        "1", "rotation of the mesh into the body frame, quaternion w, x, y, z", IDENTITY
-    )
+    rotation: Quaternion = items("1", "rotation of the mesh into the body frame, quaternion w, x, y, z", IDENTITY)
     start_position: Point = items("m", "place of the body frame's origin in the world at the start", ORIGIN)
     start_orientation: Quaternion = items(
         "1", "rotation of the body frame into the world at the start, quaternion w, x, y, z", IDENTITY
@@ -279,9 +272,7 @@ class Contact(Settings):
 
     name: str = Field("", pattern=NAME_PATTERN, description="name, first part of the names of its variables")
     tissue: str = Field("", pattern=NAME_PATTERN, description="name of the tissue; without it the only one")
-    instrument: str = Field(
-        "", pattern=NAME_PATTERN, description="name of the instrument; without it the only one"
-    )
+    instrument: str = Field("", pattern=NAME_PATTERN, description="name of the instrument; without it the only one")
     stiffness: float = quantity("N/m", 1, 1e7, "stiffness of the whole contact")
     damping: float = quantity("N.s/m", 0, 1e4, "damping of the whole contact", 0.0)
     law: Literal["kelvin_voigt"] = Field("kelvin_voigt", description="force law over depth")
@@ -302,13 +293,9 @@ class Solver(Settings):
     gravity: Annotated[tuple[Coordinate, ...], Field(min_length=3, max_length=3)] = items(
         "m/s2", "acceleration of gravity", ORIGIN
     )
-    safety: float = quantity("1", 0.01, 1, "share of the stable limit that a substep uses", 0.9)
-    substeps: int = quantity(
-        "1", 0, 100_000, "substeps of a communication step, 0 to follow the stable limit", 0
-    )
-    max_substeps: int = quantity(
-        "1", 1, 100_000, "substeps of a communication step above which it is refused", 1000
-    )
+    safety: float = quantity("1", 0.01, 1, "share of the stable limit that a substep uses", 0.95)
+    substeps: int = quantity("1", 0, 100_000, "substeps of a communication step, 0 to follow the stable limit", 0)
+    max_substeps: int = quantity("1", 1, 100_000, "substeps of a communication step above which it is refused", 1000)
     detection_period: float = quantity("s", 1e-6, 1, "time between two collision detections", 0.001)
     max_pairs: int = quantity("1", 16, 1_000_000, "most intersecting triangle pairs of one contact", 4096)
     integrator: Literal["symplectic_euler"] = Field("symplectic_euler", description="scheme in time")
@@ -341,12 +328,8 @@ class Scene(Settings):
     solver: Solver = Field(Solver(), description="time steps and limits")
     motion: Motion = Field(Motion(), description="motion between communication points")
     tissue: tuple[Tissue, ...] = Field(min_length=1, strict=False, description="deformable surfaces")
-    instrument: tuple[Instrument, ...] = Field(
-        (), strict=False, description="rigid bodies whose poses are inputs"
-    )
-    contact: tuple[Contact, ...] = Field(
-        (), strict=False, description="pairs of tissue and instrument that may touch"
-    )
+    instrument: tuple[Instrument, ...] = Field((), strict=False, description="rigid bodies whose poses are inputs")
+    contact: tuple[Contact, ...] = Field((), strict=False, description="pairs of tissue and instrument that may touch")
     _source: bytes = PrivateAttr(b"")
     _folder: Path = PrivateAttr(Path())
     _place: str = PrivateAttr("scene")
@@ -403,17 +386,13 @@ class Scene(Settings):
             if not word and len(known) != 1:
                 rule = f"a contact must name its {kind} unless the scene declares exactly one"
                 way_out = (
-                    f"Name one of {', '.join(known)}"
-                    if known
-                    else f"Declare an [[{kind}]], or remove the contact"
+                    f"Name one of {', '.join(known)}" if known else f"Declare an [[{kind}]], or remove the contact"
                 )
                 raise broken(("contact", i, kind), rule, f"{len(known)} declared", way_out)
             if word and word not in known:
                 if word in names[other]:
                     rule = f"a contact joins tissue and instrument; {other}–{other} contact is not built yet"
-                    raise broken(
-                        ("contact", i, kind), rule, f"{show(word)}, which is a {other}", nearest(word, known)
-                    )
+                    raise broken(("contact", i, kind), rule, f"{show(word)}, which is a {other}", nearest(word, known))
                 rule = f"the {kind} must be declared"
                 raise broken(("contact", i, kind), rule, show(word), nearest(word, known, what=f"{kind}s"))
             chosen[kind] = word or known[0]

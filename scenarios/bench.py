@@ -1,13 +1,13 @@
 """`make bench`: what a step of 1 ms costs inside the FMU, on a press-slide-leave motion over meshes of growing size.
 
-The whole step is timed by a small native program that drives the FMU; its parts by the same kernels, compiled just in
-time, run again on the state that each step leaves. Figures in microseconds.
+Timed by a small native program that drives the FMU. The parts of a step are timed by an FMU of the same kernels that
+does one part several times over. Figures in microseconds.
 """
 
-import ctypes
 import json
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,22 +21,21 @@ from tissue_contact.assembly import Assembly
 from tissue_contact.files import publish
 from tissue_contact.fmu.build import build
 from tissue_contact.fmu.native import drive, host_platform
-from tissue_contact.kernels.compiled import kernel
+from tissue_contact.kernels import measured
 from tissue_contact.kernels.layout import Real
-from tissue_contact.kernels.step import _advance_all, _detect_all, _respond_all, _tissue_forces
 from tissue_contact.scene import parse_scene
-from tissue_contact.simulate import Instance
+from tissue_contact.variables import Variable
 
-LEVELS = {"1.5K": 1500, "6K": 6000, "24K": 24000, "96K": 96000}
+LEVELS = {"1.5K": 27, "6K": 55, "24K": 110, "96K": 219}  # cells along a side of the sheet, two triangles each
 STEP = 1e-3  # s
-CLOCK_MONOTONIC = 1
+REPEATS = 4  # of a part, to time it
 
 SCENE = """
 name = "bench"
 [solver]
 max_substeps = 10000
 [[tissue]]
-shape = {{ kind = "patch", size = [0.06, 0.06], triangles = {triangles}, curvature_radius = 0.4, seed = 1 }}
+{tissue}
 areal_density = 1.0
 stiffness = 200.0
 drag = 20.0
@@ -45,6 +44,8 @@ shape = {{ kind = "capsule", radius = 0.0025, length = 0.04, triangles = 1500 }}
 start_position = [-0.005, 0.0, 0.005]
 {contact}
 """
+MESH = 'mesh = "{name}"\nopen_surface = true'
+IRREGULAR = 'shape = {{ kind = "patch", size = [0.06, 0.06], triangles = {n}, curvature_radius = 0.4, seed = 1 }}'
 CONTACT = """
 [[contact]]
 stiffness = 100.0
@@ -60,9 +61,16 @@ stiffness = 0.01
 shape = { kind = "box", size = [0.01, 0.01, 0.01] }
 """
 
-_clock_gettime = ctypes.CDLL(None).clock_gettime
-_clock_gettime.argtypes = [ctypes.c_int, ctypes.c_void_p]
-_clock_gettime.restype = ctypes.c_int
+
+def sheet(cells: int) -> str:
+    """OBJ text of a curved sheet of 60 mm, cells x cells, each cut along the same diagonal."""
+    side = np.linspace(-0.03, 0.03, cells + 1)
+    x, y = (c.ravel() for c in np.meshgrid(side, side, indexing="ij"))
+    corner = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel() + 1
+    right, up = corner + cells + 1, corner + 1
+    faces = np.concatenate([np.column_stack([corner, right, right + 1]), np.column_stack([corner, right + 1, up])])
+    lines = [f"v {a!r} {b!r} {-(a * a + b * b) / 0.8!r}" for a, b in zip(x.tolist(), y.tolist(), strict=True)]
+    return "\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in faces.tolist())]) + "\n"
 
 
 def poses() -> Real:
@@ -87,45 +95,6 @@ def poses() -> Real:
     return np.column_stack([x, np.full_like(t, 2e-4), z, *turn])
 
 
-@kernel
-def _parts(model, parameters, state, scratch, substeps, dt, clock, spent):
-    """Time [ns] of one detection, and of all the responses and tissue passes of a step, at the state as it is."""
-    _clock_gettime(CLOCK_MONOTONIC, clock[0:].ctypes)
-    _detect_all(model, state, scratch, 0.0)
-    _clock_gettime(CLOCK_MONOTONIC, clock[2:].ctypes)
-    for _ in range(substeps):
-        _respond_all(model, parameters, state, scratch, 0.0, dt)
-    _clock_gettime(CLOCK_MONOTONIC, clock[4:].ctypes)
-    for _ in range(substeps):
-        _tissue_forces(model, parameters, state, scratch)
-        _advance_all(model, parameters, state, scratch, 0.0)  # no time passes: the state stays
-    _clock_gettime(CLOCK_MONOTONIC, clock[6:].ctypes)
-    for k in range(3):
-        spent[k] = (clock[2 * k + 2] - clock[2 * k]) * 1000000000 + clock[2 * k + 3] - clock[2 * k + 1]
-
-
-def part_times(assembly: Assembly, path: Real) -> Real:
-    """Detection, response and tissue [µs] of every step, shape [steps, 3]."""
-    instance = Instance(assembly)
-    instance.inputs[:] = path[0]
-    instance.initialize()
-    (slot,) = [v.slot for v in assembly.variables if v.name == "solver.substeps"]
-    clock, spent = np.zeros(8, np.int64), np.zeros(3, np.int64)
-    out = np.empty((len(path) - 1, 3))
-    for k, pose in enumerate(path[1:]):
-        instance.inputs[:] = pose
-        instance.step(STEP)
-        instance.scratch.motion[:] = 0.0
-        n = int(instance.outputs[slot])
-        saved = instance.copy_state()
-        _parts(
-            instance.model, instance.parameters, instance.state, instance.scratch, n, STEP / n, clock, spent
-        )
-        instance.restore_state(saved)
-        out[k] = spent / 1000
-    return out
-
-
 def figures(us: Real) -> dict[str, float]:
     """Median, 99th and 99.9th percentile and maximum."""
     values = np.percentile(us, [50, 99, 99.9, 100]) if us.size else np.full(4, np.nan)
@@ -136,34 +105,53 @@ def figures(us: Real) -> dict[str, float]:
 
 def built(text: str, folder: Path) -> tuple[Assembly, Path]:
     """Assembly of a scene and its FMU for this machine."""
-    assembly = assemble(parse_scene(text.encode(), Path()))
+    assembly = assemble(parse_scene(text.encode(), folder))
     return assembly, build(assembly, folder / f"{assembly.name}.fmu", [host_platform()])
+
+
+def part_times(assembly: Assembly, folder: Path, path: Real) -> dict[str, Real]:
+    """Time [µs] of each part in every step: with the part repeated, less without."""
+    n = len(assembly.parameters)
+    repeats = [
+        Variable(f"repeat.{part}", "parameters", n + k, "1", 0.0, 0.0, 100.0, f"repeats of {part}")
+        for k, part in enumerate(measured.REPEATS)
+    ]
+    assembly = replace(
+        assembly,
+        parameters=np.concatenate([assembly.parameters, np.zeros(3)]),
+        variables=(*assembly.variables, *repeats),
+    )
+    fmu = build(assembly, folder / "measured.fmu", [host_platform()], kernels=Path(measured.__file__))
+    _, plain = drive(fmu, path, STEP)
+    times = {}
+    for variable, part in zip(repeats, measured.REPEATS, strict=True):
+        _, repeated = drive(fmu, path, STEP, starts={variable.name: REPEATS})
+        times[part] = (repeated.astype(float) - plain) / 1000 / REPEATS
+    return times
 
 
 def level_result(text: str, folder: Path) -> dict[str, Any]:
     """All figures of one mesh, in contact and out of it."""
-    assembly, path = built(text, folder)
-    inputs = poses()
-    outputs, ns = drive(path, inputs[1:], STEP)
+    assembly, fmu = built(text, folder)
+    inputs = poses()[1:]
+    outputs, ns = drive(fmu, inputs, STEP)
     names = [v.name for v in assembly.variables if v.block == "outputs"]
     pairs = outputs[:, names.index("solver.pairs")]
-    substeps = outputs[:, names.index("solver.substeps")]
     touching = pairs > 0
-    parts = part_times(assembly, inputs)
     step = ns / 1000
     result: dict[str, Any] = {
         "triangles": len(assembly.model.triangle_a),
         "vertices": len(assembly.model.rest_x),
         "springs": len(assembly.model.spring_i),
-        "substeps": int(substeps.max()),
+        "substeps": int(outputs[:, names.index("solver.substeps")].max()),
         "pairs in contact, median": float(np.median(pairs[touching])) if touching.any() else 0.0,
-        "real-time factor, median": round(1e3 / float(np.median(step)), 3) if step.size else None,
+        "real-time factor, median": round(1e6 / float(np.median(ns)), 3),
         "step": figures(step),
         "step in contact": figures(step[touching]),
     }
-    for k, name in enumerate(("detection", "response", "tissue")):
-        result[f"{name} in contact"] = figures(parts[touching, k])
-        result[f"{name} out of contact"] = figures(parts[~touching, k])
+    for part, us in part_times(assembly, folder, inputs).items():
+        result[f"{part} in contact"] = figures(us[touching])
+        result[f"{part} out of contact"] = figures(us[~touching])
     return result
 
 
@@ -174,20 +162,22 @@ def fmi_overhead(folder: Path) -> dict[str, float]:
     return figures(ns / 1000)
 
 
-def measure(levels: dict[str, int], say: Callable[[str], None]) -> dict[str, Any]:
+def measure(levels: Sequence[str], say: Callable[[str], None]) -> dict[str, Any]:
     """All the figures of `make bench`."""
     results: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         say("FMI overhead")
         results["overhead"] = fmi_overhead(folder)
-        for level, triangles in levels.items():
+        for level in levels:
             say(f"{level} triangles")
-            results[level] = level_result(SCENE.format(triangles=triangles, contact=CONTACT), folder)
-        say("no contact declared")
-        results["6K without a contact declared"] = level_result(
-            SCENE.format(triangles=6000, contact=""), folder
-        )
+            (folder / "sheet.obj").write_text(sheet(LEVELS[level]))
+            tissue = MESH.format(name="sheet.obj")
+            results[level] = level_result(SCENE.format(tissue=tissue, contact=CONTACT), folder)
+        tissue = IRREGULAR.format(n=6000)
+        for what, contact in (("6K irregular", CONTACT), ("6K irregular, no contact declared", "")):
+            say(what)
+            results[what] = level_result(SCENE.format(tissue=tissue, contact=contact), folder)
     return results
 
 
@@ -210,8 +200,7 @@ def table(results: dict[str, Any]) -> Table:
 def main(output: Path = Path("build/bench.json"), levels: str = ",".join(LEVELS)) -> None:
     """Measure, print and keep the figures."""
     console = Console()
-    chosen = {level: LEVELS[level] for level in levels.split(",")}
-    results = measure(chosen, lambda text: console.print(f"measuring: {text}", style="dim"))
+    results = measure(levels.split(","), lambda text: console.print(f"measuring: {text}", style="dim"))
     console.print(table(results))
     publish(output, (json.dumps(results, indent=1) + "\n").encode())
     console.print(f"kept in {output}")

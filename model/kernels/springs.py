@@ -14,12 +14,13 @@ def add_springs(first, last, i, j, rest, stiffness, scale, x, y, z, fx, fy, fz):
         length = math.sqrt(dx * dx + dy * dy + dz * dz)
         if length > 0.0:  # coincident ends have no direction to push in
             q = scale * stiffness[s] * (1.0 - rest[s] / length)
-            fx[a] += q * dx
-            fy[a] += q * dy
-            fz[a] += q * dz
-            fx[b] -= q * dx
-            fy[b] -= q * dy
-            fz[b] -= q * dz
+            px, py, pz = q * dx, q * dy, q * dz
+            fx[a] += px
+            fy[a] += py
+            fz[a] += pz
+            fx[b] -= px
+            fy[b] -= py
+            fz[b] -= pz
 
 
 @inner

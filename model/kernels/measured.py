@@ -1,0 +1,35 @@
+"""The step with its parts done again, as often as three more parameters say: what a part costs is the difference.
+
+Built into an FMU by the benchmark only. No time passes in the repeats, so they change neither state nor outputs.
+"""
+
+from tissue_contact.kernels.compiled import kernel
+from tissue_contact.kernels.slots import INSTRUMENT_OUTPUTS, POSE, SUBSTEPS
+from tissue_contact.kernels.step import (
+    _advance_all,
+    _detect_all,
+    _respond_all,
+    _tissue_forces,
+    initialize,
+)
+from tissue_contact.kernels.step import step as plain_step
+
+__all__ = ["initialize", "step"]
+
+REPEATS = ("detection", "response", "tissue")  # the last parameters, in this order
+
+
+@kernel
+def step(model, parameters, state, inputs, h, outputs, scratch):
+    """`tissue_contact.kernels.step.step`, then the repeats."""
+    n = parameters.size - 3
+    status = plain_step(model, parameters, state, inputs, h, outputs, scratch)
+    substeps = int(outputs[INSTRUMENT_OUTPUTS * (inputs.size // POSE) + SUBSTEPS])
+    for _ in range(int(parameters[n])):
+        _detect_all(model, state, scratch, 0.0)
+    for _ in range(int(parameters[n + 1]) * substeps):
+        _respond_all(model, parameters, state, scratch, 0.0, 0.0)
+    for _ in range(int(parameters[n + 2]) * substeps):
+        _tissue_forces(model, parameters, state, scratch)
+        _advance_all(model, parameters, state, scratch, 0.0)
+    return status
