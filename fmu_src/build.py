@@ -55,9 +55,7 @@ def build(
     """
     progress = on_progress or (lambda _: None)
     if not platforms:
-        raise InputError(
-            "platforms", "must name at least one platform", "none", f"Choose from {', '.join(ALL)}"
-        )
+        raise InputError("platforms", "must name at least one platform", "none", f"Choose from {', '.join(ALL)}")
     targets = [compile.target(platform) for platform in platforms]
     output = Path(output)
     if not output.parent.is_dir():

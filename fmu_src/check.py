@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 
 from fmpy.validation import validate_fmu
 from lxml import etree
+
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.fmu import model_bin
 from tissue_contact.fmu.build import guid_of
@@ -61,9 +62,7 @@ def _zip(archive: zipfile.ZipFile) -> list[str]:
         if "\\" in name or name.startswith("/") or ".." in parts or ":" in name or not name.isascii():
             findings.append(f"zip: {name!r} is no portable relative path")
         if info.compress_type not in (zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED):
-            findings.append(
-                f"zip: {name} is not compressed by deflate, the only method that every importer reads"
-            )
+            findings.append(f"zip: {name} is not compressed by deflate, the only method that every importer reads")
         if info.flag_bits & 1:
             findings.append(f"zip: {name} is encrypted")
         if names.count(name) > 1:

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import fmpy
 import llvmlite.binding as llvm
+
 import tissue_contact.kernels
 from tissue_contact import cache, status
 from tissue_contact.errors import InputError, WorkError
@@ -89,7 +90,7 @@ def _versions(*packages: str) -> list[str]:
 def kernels_hash(kernels: Path) -> str:
     """Hash of all that decides the IR of the kernels. Every Python file beside ``kernels`` counts."""
     sources = [*kernels.parent.glob("*.py"), Path(entry.__file__), Path(__file__)]
-    return cache.digest(sources, entry.source(), *_versions("numba", "llvmlite", "numpy"))
+    return cache.digest(sources, kernels.name, entry.source(), *_versions("numba", "llvmlite", "numpy"))
 
 
 def library_hash(kernels: Path) -> str:
@@ -106,12 +107,8 @@ def header() -> str:
     """The generated C header ``layout.h``: layout, entry signature, status table, log categories."""
     fields = entry.fields()
     block_of = [entry.BLOCKS.index(block) for _, _, block in fields]
-    detail = next(
-        i for i, (bundle, field, _) in enumerate(fields) if (bundle, field) == ("scratch", "detail")
-    )
-    arguments = ", ".join(
-        ["int32_t *status", "void **exception"] + [f"{c} {n}" for n, c in entry.ARGUMENTS.items()]
-    )
+    detail = next(i for i, (bundle, field, _) in enumerate(fields) if (bundle, field) == ("scratch", "detail"))
+    arguments = ", ".join(["int32_t *status", "void **exception"] + [f"{c} {n}" for n, c in entry.ARGUMENTS.items()])
     if [s.code for s in status.STATUSES] != list(range(len(status.STATUSES))):
         raise WorkError("the status table must be in the order of its codes, from 0 without a gap")
     rows = []
@@ -222,6 +219,17 @@ def assembly(ir: str, exported: str, level: str, machine: Machine) -> str:
     return target_machine.emit_assembly(module)
 
 
+def reason(trace: str) -> str:
+    """What went wrong, and in which line of the source, out of a traceback of Python or numba."""
+    lines = [line.rstrip() for line in re.sub(r"\x1b\[\d*m", "", trace).splitlines() if line.strip()]
+    headings = [n for n, line in enumerate(lines) if re.match(r"[\w.]+(Error|Exception|Interrupt)\b", line)]
+    told = lines[headings[-1] :] if headings else lines[-1:]
+    # After its first "During" numba tells the way there, call by call.
+    end = next((n for n, line in enumerate(told) if line.startswith("During")), len(told))
+    repeated = "Failed in nopython mode pipeline"
+    return "\n".join(line for line in told[:end] if repeated not in line) or "it ended without a word"
+
+
 def kernels_ir(kernels: Path, progress: Progress) -> dict[str, str]:
     """Simplified LLVM IR of every entry. Cached.
 
@@ -246,7 +254,7 @@ def kernels_ir(kernels: Path, progress: Progress) -> dict[str, str]:
             command = [sys.executable, "-m", "tissue_contact.fmu.entry", name, str(kernels)]
             run = subprocess.run(command, env=environment, capture_output=True, text=True)
             if run.returncode != 0:
-                raise WorkError(f"the kernels do not compile ahead of time:\n{run.stderr.strip()}")
+                raise WorkError(f"the kernels do not compile ahead of time: {reason(run.stderr)}")
             functions = json.loads((directory / "names.json").read_text("utf-8"))
             made = {
                 exported: simplify((directory / f"{exported}.ll").read_text("utf-8"), function, exported)
@@ -325,9 +333,7 @@ def universal(slices: Sequence[bytes]) -> bytes:
 def target(platform: str) -> Target:
     """The target of a platform; `InputError` if there is none."""
     if platform not in TARGETS:
-        raise InputError(
-            "platform", f"must be one of {', '.join(ALL)}", platform, "Name a platform of that list"
-        )
+        raise InputError("platform", f"must be one of {', '.join(ALL)}", platform, "Name a platform of that list")
     return TARGETS[platform]
 
 

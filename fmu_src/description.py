@@ -5,6 +5,7 @@ import math
 import re
 
 from lxml import etree
+
 from tissue_contact.assembly import Assembly
 from tissue_contact.errors import WorkError
 from tissue_contact.fmu.model_bin import LOG_CATEGORIES
@@ -35,9 +36,7 @@ def number(value: float) -> str:
 def _check(assembly: Assembly) -> None:
     names = [v.name for v in assembly.variables]
     if len(set(names)) != len(names):
-        raise WorkError(
-            f"variable names must be unique; twice: {sorted({n for n in names if names.count(n) > 1})}"
-        )
+        raise WorkError(f"variable names must be unique; twice: {sorted({n for n in names if names.count(n) > 1})}")
     for v in assembly.variables:
         if v.block != "outputs" and not (math.isfinite(v.start) and v.minimum <= v.start <= v.maximum):
             raise WorkError(f"{v.name} starts at {v.start}, outside [{v.minimum}, {v.maximum}]")

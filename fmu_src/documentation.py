@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 import ziglang
+
 from tissue_contact.assembly import Assembly
 from tissue_contact.errors import WorkError
 from tissue_contact.fmu.compile import FMI_HEADERS
@@ -45,7 +46,8 @@ _MODEL = """
 tissue, and the opposite one on the instrument at the same point:</p>
 <p class="equation"><b>F</b> = max(0, <i>k δ</i> + <i>c</i> d<i>δ</i>/d<i>t</i>) <b>n</b></p>
 <p><i>k</i> and <i>c</i> belong to a whole contact region: pairs of triangles that touch each other share one
-force by their contact area. Time is advanced by symplectic Euler with implicit damping, in as many substeps
+force by the length of the curve in which they meet.
+Time is advanced by symplectic Euler with implicit damping, in as many substeps
 as stability asks for.</p>
 <h2>Use</h2>
 <p>Over a communication step the pose goes from the one of the last communication point to the one set now.
@@ -68,11 +70,7 @@ def _table(assembly: Assembly, block: Block) -> str:
         if v.block == block
     ]
     head = "<tr><th>Name</th><th>Unit</th><th>Start</th><th>Least</th><th>Greatest</th><th>Meaning</th></tr>"
-    return (
-        f"<h3>{CAUSALITY[block].capitalize()}s</h3>\n<table>\n{head}\n{''.join(rows)}</table>\n"
-        if rows
-        else ""
-    )
+    return f"<h3>{CAUSALITY[block].capitalize()}s</h3>\n<table>\n{head}\n{''.join(rows)}</table>\n" if rows else ""
 
 
 def page(assembly: Assembly, picture: bool) -> str:

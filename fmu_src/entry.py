@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+
 from tissue_contact import status
 from tissue_contact.kernels.layout import Model, Scratch, State, blocks
 
@@ -75,9 +76,7 @@ def source() -> str:
     bundles = []
     for bundle in BUNDLES:
         slices = [
-            f"{block}_[s[{2 * i}] : s[{2 * i + 1}]]"
-            for i, (owner, _, block) in enumerate(fields())
-            if owner == bundle
+            f"{block}_[s[{2 * i}] : s[{2 * i + 1}]]" for i, (owner, _, block) in enumerate(fields()) if owner == bundle
         ]
         bundles.append(f"    {bundle} = {bundle.capitalize()}({', '.join(slices)})")
     body = "\n".join(
@@ -105,6 +104,7 @@ def emit(directory: Path, kernels: Path) -> None:
     from numba import carray, cfunc, types
 
     spec = importlib.util.spec_from_file_location("kernels_of_entry", kernels)
+    assert spec is not None and spec.loader is not None  # as every file that ends in .py has
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     numba_types = {

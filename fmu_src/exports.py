@@ -15,9 +15,7 @@ def _text(content: bytes, at: int) -> str:
 
 def _elf(content: bytes) -> set[str]:
     sections_at, entry_size, count = struct.unpack_from("<Q10xHH", content, 40)
-    sections = [
-        struct.unpack_from("<IIQQQQIIQQ", content, sections_at + i * entry_size) for i in range(count)
-    ]
+    sections = [struct.unpack_from("<IIQQQQIIQQ", content, sections_at + i * entry_size) for i in range(count)]
     names = set()
     for _, kind, _, _, offset, size, link, _, _, _ in sections:
         if kind != 11:  # SHT_DYNSYM

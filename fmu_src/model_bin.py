@@ -22,6 +22,7 @@ import struct
 import sys
 
 import numpy as np
+
 from tissue_contact.assembly import Assembly
 from tissue_contact.errors import WorkError
 from tissue_contact.fmu import entry
@@ -77,9 +78,7 @@ def write(assembly: Assembly, guid: str) -> bytes:
     for name, block in blocks.items():
         kind = np.uint32 if name.endswith("_index") else np.float64
         if block.dtype != kind or block.ndim != 1:
-            raise WorkError(
-                f"assembly.{name} must be a vector of {kind.__name__}, it is {block.dtype}{block.shape}"
-            )
+            raise WorkError(f"assembly.{name} must be a vector of {kind.__name__}, it is {block.dtype}{block.shape}")
     field_spans = np.concatenate([spans(getattr(assembly, bundle)) for bundle in entry.BUNDLES])
     for i, (bundle, field, block) in enumerate(entry.fields()):
         if field_spans[2 * i + 1] > blocks[block].size:

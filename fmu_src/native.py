@@ -15,6 +15,7 @@ from urllib.parse import quote
 
 import numpy as np
 from fmpy import read_model_description
+
 from tissue_contact import cache
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.fmu import compile
@@ -119,9 +120,7 @@ def drive(
     inputs = np.ascontiguousarray(inputs, "<f8")
     if inputs.ndim != 2 or inputs.shape[1] != len(in_refs):
         rule = f"must have the shape [steps, {len(in_refs)}]"
-        raise InputError(
-            "inputs", rule, inputs.shape, "Give one column for every input of modelDescription.xml"
-        )
+        raise InputError("inputs", rule, inputs.shape, "Give one column for every input of modelDescription.xml")
     given = starts or {}
     unknown = [name for name in given if name not in references]
     if unknown:
@@ -134,24 +133,16 @@ def drive(
         directory = Path(name)
         with zipfile.ZipFile(fmu_path) as archive:
             archive.extractall(directory / "fmu")
-        library = (
-            f"fmu/binaries/{platform}/{about.coSimulation.modelIdentifier}{compile.target(platform).suffix}"
-        )
+        library = f"fmu/binaries/{platform}/{about.coSimulation.modelIdentifier}{compile.target(platform).suffix}"
         if not (directory / library).exists():
-            raise InputError(
-                str(fmu_path), f"must hold a binary for {platform}", "none", "Build it for that platform"
-            )
+            raise InputError(str(fmu_path), f"must hold a binary for {platform}", "none", "Build it for that platform")
         program = directory / "driver.exe"
         program.write_bytes(driver(platform))
         program.chmod(0o755)
         (directory / "job").write_bytes(job)
         resources = (directory / "fmu/resources").as_posix()
-        drive_letter = (
-            "/Z:" if platform == "win64" and os.name != "nt" else ""
-        )  # wine's name of the root directory
-        location = (
-            f"file://{drive_letter}{'' if resources.startswith('/') else '/'}{quote(resources, safe='/:')}"
-        )
+        drive_letter = "/Z:" if platform == "win64" and os.name != "nt" else ""  # wine's name of the root directory
+        location = f"file://{drive_letter}{'' if resources.startswith('/') else '/'}{quote(resources, safe='/:')}"
         arguments = [f"./{library}", location, about.guid, "job", "result"]
         run = subprocess.run(
             [*command, str(program), *arguments],
@@ -161,9 +152,7 @@ def drive(
             text=True,
         )
         if run.returncode != 0:
-            raise WorkError(
-                f"the FMU failed on {platform} (exit code {run.returncode}):\n{run.stderr.strip()}"
-            )
+            raise WorkError(f"the FMU failed on {platform} (exit code {run.returncode}):\n{run.stderr.strip()}")
         result = (directory / "result").read_bytes()
     step_ns = np.frombuffer(result, "<u8", len(inputs))
     return np.frombuffer(result, "<f8", offset=8 * len(inputs)).reshape(len(inputs), len(out_refs)), step_ns

@@ -16,6 +16,7 @@ from tissue_contact.kernels import slots
 from tissue_contact.kernels.collision import HULL, OOBB
 from tissue_contact.kernels.layout import Model, Scratch, State, pack
 from tissue_contact.scene import FixedBox, Instrument, Scene, Tissue
+from tissue_contact.settings import Settings, setting
 from tissue_contact.surfaces import surface_of
 from tissue_contact.variables import Variable
 
@@ -67,7 +68,7 @@ def assemble(scene: Scene) -> Assembly:
     state = _state(scene, model)
     variables = variable_table(scene)
     packed_model, packed_state, packed_scratch = pack(model), pack(state), pack(_scratch(scene, model))
-    tissues, contacts, instruments = len(scene.tissue), len(scene.contact), len(scene.instrument)
+    instruments = len(scene.instrument)
     return Assembly(
         scene.name,
         scene.description,
@@ -76,9 +77,7 @@ def assemble(scene: Scene) -> Assembly:
         *packed_scratch,
         parameters=_parameters(scene, variables),
         inputs=start_values(slots.POSE * instruments, variables, "inputs"),
-        outputs=np.zeros(
-            slots.INSTRUMENT_OUTPUTS * instruments + slots.COMMON_OUTPUTS + 3 * model.probe_triangle.size
-        ),
+        outputs=np.zeros(slots.INSTRUMENT_OUTPUTS * instruments + slots.COMMON_OUTPUTS + 3 * model.probe_triangle.size),
         variables=variables,
         start_time=0.0,
         stop_time=scene.solver.stop_time,
@@ -160,9 +159,8 @@ def _renumbered(surface: Surface, order: IntArray) -> Surface:
 def node_areas(surface: Surface) -> FloatArray:
     """Area of every vertex [m²], one third of its triangles."""
     areas = geometry.triangle_areas(surface)
-    return np.bincount(
-        surface.triangles.ravel(), np.repeat(areas / 3.0, 3), minlength=len(surface.vertices)
-    )
+    sums = np.bincount(surface.triangles.ravel(), np.repeat(areas / 3.0, 3), minlength=len(surface.vertices))
+    return np.asarray(sums, np.float64)
 
 
 def _springs(tissue: Tissue, surface: Surface) -> tuple[IntArray, FloatArray]:
@@ -247,9 +245,7 @@ def _body(instrument: Instrument, scene: Scene) -> _Body:
     return _Body(surface, centre, axes, half, axis, reach, *_grid(surface, low, high), low, high)
 
 
-def _shaft_axis(
-    surface: Surface, part: int, centre: FloatArray, axes: FloatArray, half: FloatArray
-) -> FloatArray:
+def _shaft_axis(surface: Surface, part: int, centre: FloatArray, axes: FloatArray, half: FloatArray) -> FloatArray:
     """Tip end and handle end of a part's axis, shape [2, 3]; the handle is away from the body frame's origin."""
     if surface.axes is not None:
         return surface.axes[part].copy()
@@ -285,7 +281,7 @@ def _grid(
 # --- model, state, scratch --------------------------------------------------------------------------------
 
 
-def _starts(counts: list[int]) -> IntArray:
+def _starts(counts: list[int]) -> Any:  # signed, to count with; the Model takes it unsigned
     return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]).astype(np.int32)
 
 
@@ -381,7 +377,7 @@ def _model(scene: Scene, sheets: list[_Sheet], bodies: list[_Body]) -> Model:
     )
 
 
-def _probes(scene: Scene, sheets: list[_Sheet]) -> tuple[IntArray, FloatArray]:
+def _probes(scene: Scene, sheets: list[_Sheet]) -> tuple[Any, FloatArray]:
     """Triangle of every probe, counted over all the tissues, and its areal coordinates there."""
     starts = _starts([len(s.surface.triangles) for s in sheets])
     found = [
@@ -401,7 +397,7 @@ def _hulls(scene: Scene, bodies: list[_Body]) -> list[geometry.Hull]:
 
 
 def _state(scene: Scene, model: Model) -> State:
-    contacts, instruments = len(scene.contact), len(scene.instrument)
+    contacts = len(scene.contact)
     capacity = contacts * scene.solver.max_pairs
     pose = [[*i.start_position, *i.start_orientation] for i in scene.instrument]
     sizes = {
@@ -460,9 +456,7 @@ def variable_table(scene: Scene) -> tuple[Variable, ...]:
     return (*_input_variables(scene), *_parameter_variables(scene), *_output_variables(scene))
 
 
-def _vector(
-    name: str, block: Any, slot: int, unit: str, start: Any, bound: float, description: str
-) -> list[Variable]:
+def _vector(name: str, block: Any, slot: int, unit: str, start: Any, bound: float, description: str) -> list[Variable]:
     return [
         Variable(f"{name}[{k + 1}]", block, slot + k, unit, float(value), -bound, bound, f"{description}, {part}")
         for k, (value, part) in enumerate(zip(start, "wxyz" if len(start) == 4 else "xyz", strict=True))
@@ -488,16 +482,10 @@ def _parameter_variables(scene: Scene) -> list[Variable]:
     """Tunable constants: those that the scene declares. A range is that of the scene's own key."""
     table = []
 
-    def add(prefix: str, name: str, slot: int, settings: Any, key: str) -> None:
-        field = type(settings).model_json_schema()["properties"][key]
-        bounds = [b for b in field.get("anyOf", [field]) if b.get("type") != "null"][0]
-        start = getattr(settings, key)
-        table.append(
-            Variable(
-                f"{prefix}.{name}", "parameters", slot, field["unit"], start,
-                bounds["minimum"], bounds["maximum"], field["description"],
-            )
-        )  # fmt: skip
+    def add(prefix: str, name: str, slot: int, settings: Settings, key: str) -> None:
+        own, start = setting(type(settings), key), getattr(settings, key)
+        found = (own.unit, start, own.minimum, own.maximum, own.description)
+        table.append(Variable(f"{prefix}.{name}", "parameters", slot, *found))
 
     for n, tissue in enumerate(scene.tissue):
         own = slots.TISSUE_PARAMETERS * n
@@ -537,7 +525,9 @@ def _output_variables(scene: Scene) -> list[Variable]:
     for i, instrument in enumerate(scene.instrument):
         name, own = instrument.name, slots.INSTRUMENT_OUTPUTS * i
         vector(f"{name}.force", own + slots.FORCE, "N", "penalty force on the instrument, world frame")
-        vector(f"{name}.torque", own + slots.TORQUE, "N.m", "its torque about the origin of the body frame, world frame")
+        vector(
+            f"{name}.torque", own + slots.TORQUE, "N.m", "its torque about the origin of the body frame, world frame"
+        )
         vector(f"{name}.meanForce", own + slots.MEAN_FORCE, "N", "impulse on the instrument over the step, by the step")
         scalar(f"{name}.depth", own + slots.DEPTH, "m", "deepest penetration")
         vector(f"{name}.contactPoint", own + slots.CONTACT_POINT, "m", "mean point of collision, weighted by force")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
+
 from tissue_contact.errors import InputError, TissueContactError
 
 app = typer.Typer(
@@ -57,6 +58,7 @@ def build(
     from tissue_contact.assemble import assemble
     from tissue_contact.fmu.build import build as build_fmu
     from tissue_contact.fmu.compile import ALL
+    from tissue_contact.scenarios.report import still
     from tissue_contact.scene import read_scene
     from tissue_contact.settings import nearest
 
@@ -67,17 +69,16 @@ def build(
     if output.suffix != ".fmu":
         raise InputError("--output", "the name of an FMU must end in .fmu", output, "Add the suffix")
     assembly = assemble(read_scene(scene))
-    build_fmu(assembly, output, platforms=platform or ALL, on_progress=_tell)
+    _tell("drawing the scene")
+    build_fmu(assembly, output, platforms=platform or ALL, picture=still(assembly), on_progress=_tell)
     typer.echo(f"wrote {output}")
 
 
-@_command("tissue-contact run press -o results --set contact.stiffness=800")
+@_command("tissue-contact run press -o results --set contact.stiffness=300")
 def run(
     scenario: Annotated[
         str,
-        typer.Argument(
-            metavar="SCENARIO", help="Folder or file of a scenario, or the name of a shipped one."
-        ),
+        typer.Argument(metavar="SCENARIO", help="Folder or file of a scenario, or the name of a shipped one."),
     ],
     output: Annotated[
         Path | None,
@@ -85,9 +86,7 @@ def run(
     ] = None,
     set_: Annotated[
         list[str] | None,
-        typer.Option(
-            "--set", metavar="NAME=VALUE", help="Value of an FMU parameter, may be given several times."
-        ),
+        typer.Option("--set", metavar="NAME=VALUE", help="Value of an FMU parameter, may be given several times."),
     ] = None,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     progress: Annotated[bool, typer.Option(help="Show a progress bar on a terminal.")] = True,
@@ -125,9 +124,7 @@ def mesh(
     scale: Annotated[float, typer.Option(help="Metres per unit of the file, 0.001 for millimetres.")] = 1.0,
     open_surface: Annotated[bool, typer.Option("--open-surface", help="A sheet is meant.")] = False,
     many_parts: Annotated[bool, typer.Option("--many-parts", help="Several pieces are meant.")] = False,
-    repair: Annotated[
-        Path | None, typer.Option(metavar="OUT.stl", help="Write the repaired mesh, in metres.")
-    ] = None,
+    repair: Annotated[Path | None, typer.Option(metavar="OUT.stl", help="Write the repaired mesh, in metres.")] = None,
 ) -> None:
     """Report on a mesh before and after repair. Exit code 1 when it suits neither tissue nor instrument."""
     from tissue_contact import geometry
@@ -150,9 +147,7 @@ def mesh(
     suits = 0
     for purpose in ("tissue", "instrument"):
         try:
-            geometry.load(
-                file, scale=scale, open_surface=open_surface, many_parts=many_parts, purpose=purpose
-            )
+            geometry.load(file, scale=scale, open_surface=open_surface, many_parts=many_parts, purpose=purpose)
         except InputError as error:
             typer.echo(f"no {purpose}: {error.rule}; found {error.value}. {error.way_out}.")
         else:
@@ -196,10 +191,10 @@ def _assignments(words: list[str]) -> dict[str, float]:
             values[name.strip()] = float(value)
         except ValueError:
             rule = "a parameter must be set as NAME=VALUE with a number"
-            raise InputError("--set", rule, word, "Write for instance contact.stiffness=800") from None
+            raise InputError("--set", rule, word, "Write for instance contact.stiffness=300") from None
         if not (equals and name.strip()):
             rule = "a parameter must be set as NAME=VALUE with a number"
-            raise InputError("--set", rule, word, "Write for instance contact.stiffness=800")
+            raise InputError("--set", rule, word, "Write for instance contact.stiffness=300")
     return values
 
 

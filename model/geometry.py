@@ -7,7 +7,7 @@ import difflib
 from dataclasses import dataclass, field
 from itertools import permutations, product
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import trimesh
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import ConvexHull, cKDTree
+
 from tissue_contact.errors import InputError
 
 FloatArray = NDArray[np.float64]
@@ -292,6 +293,7 @@ def read(path: str | Path, scale: float = 1.0) -> Surface:
     again = "Export the mesh again and check that a mesh viewer opens it"
     if path.stat().st_size == 0:
         raise InputError(place, "the mesh file must not be empty", "0 bytes", again)
+    mesh: Any
     try:
         loaded = trimesh.load_scene(path, process=False)
         meshes = [m for m in loaded.geometry.values() if isinstance(m, trimesh.Trimesh)]
@@ -300,9 +302,7 @@ def read(path: str | Path, scale: float = 1.0) -> Surface:
         # What fits neither a binary nor a text format makes trimesh ask for a package that guesses encodings.
         unknown = isinstance(error, ImportError)
         found = "contents that are cut off or not text" if unknown else f"{type(error).__name__}: {error}"
-        raise InputError(
-            place, f"the file must be a valid {path.suffix[1:].upper()}", found, again
-        ) from error
+        raise InputError(place, f"the file must be a valid {path.suffix[1:].upper()}", found, again) from error
     if mesh is None or len(mesh.faces) == 0:
         raise InputError(place, "a mesh must have at least one triangle", "none", again)
     vertices = np.array(mesh.vertices, np.float64) * scale
@@ -344,7 +344,7 @@ def inspect(surface: Surface) -> MeshReport:
     - volume: None unless watertight; outward (volume > 0): None unless watertight and consistently wound.
     """
     first = _equal_vertices(surface.vertices)
-    merged = Surface(surface.vertices, first[surface.triangles], surface.part)
+    merged = Surface(surface.vertices, first[surface.triangles].astype(np.int32), surface.part)
     use = _edge_use(merged.triangles)
     corner = merged.vertices[merged.triangles.ravel()]
     size = float(np.ptp(corner, axis=0).max())
@@ -459,9 +459,7 @@ def _sides(triangle: IntArray) -> list[tuple[int, int]]:
     return [(min(i, j), max(i, j)) for i, j in ((a, b), (b, c), (c, a))]
 
 
-def _swap_flat(
-    vertices: FloatArray, triangles: IntArray, height: float
-) -> tuple[IntArray, NDArray[np.bool_], int]:
+def _swap_flat(vertices: FloatArray, triangles: IntArray, height: float) -> tuple[IntArray, NDArray[np.bool_], int]:
     """Remove flat triangles by swapping their longest edge: new triangles, which to keep, number of swaps."""
     triangles = triangles.copy()
     keep = np.ones(len(triangles), bool)
@@ -470,9 +468,9 @@ def _swap_flat(
         flat = np.flatnonzero(keep & (triangle_heights(Surface(vertices, triangles)) <= height))
         around: dict[tuple[int, int], list[int]] = {}
         if len(flat):
-            for t in np.flatnonzero(keep):
-                for e in _sides(triangles[t]):
-                    around.setdefault(e, []).append(int(t))
+            for kept in np.flatnonzero(keep).tolist():
+                for e in _sides(triangles[kept]):
+                    around.setdefault(e, []).append(kept)
         busy: set[int] = set()
         changed = False
         for t in flat.tolist():
@@ -748,9 +746,7 @@ def nearest_place(surface: Surface, points: ArrayLike) -> tuple[IntArray, FloatA
         feet = trimesh.triangles.closest_point(corners, np.broadcast_to(point, (len(corners), 3)))
         triangle[k] = np.argmin(((feet - point) ** 2).sum(axis=1))
         foot = feet[triangle[k]]
-        weight[k] = trimesh.triangles.points_to_barycentric(
-            corners[triangle[k] : triangle[k] + 1], foot[None]
-        )[0]
+        weight[k] = trimesh.triangles.points_to_barycentric(corners[triangle[k] : triangle[k] + 1], foot[None])[0]
     return triangle, weight
 
 
@@ -772,4 +768,6 @@ def convex_hull(surface: Surface, part: int) -> Hull:
     used = np.sort(hull.vertices)
     corners = np.searchsorted(used, hull.simplices)
     ends = np.unique(np.concatenate([corners[:, [i, j]] for i, j in permutations(range(3), 2)]), axis=0)
-    return Hull(points[used], np.split(ends[:, 1].astype(np.int32), np.searchsorted(ends[:, 0], np.arange(1, len(used)))))
+    return Hull(
+        points[used], np.split(ends[:, 1].astype(np.int32), np.searchsorted(ends[:, 0], np.arange(1, len(used))))
+    )

@@ -297,7 +297,7 @@ class Solver(Settings):
     substeps: int = quantity("1", 0, 100_000, "substeps of a communication step, 0 to follow the stable limit", 0)
     max_substeps: int = quantity("1", 1, 100_000, "substeps of a communication step above which it is refused", 1000)
     detection_period: float = quantity("s", 1e-6, 1, "time between two collision detections", 0.001)
-    max_pairs: int = quantity("1", 16, 1_000_000, "most intersecting triangle pairs of one contact", 4096)
+    max_pairs: int = quantity("1", 16, 1_000_000, "most intersecting triangle pairs of one contact", 1024)
     integrator: Literal["symplectic_euler"] = Field("symplectic_euler", description="scheme in time")
 
     @model_validator(mode="after")

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
+
 from tissue_contact.errors import InputError
 
 Schema = dict[str, Any]
@@ -84,7 +85,7 @@ def _schema_at(table: type[Settings], loc: Key) -> Schema:
     root = table.model_json_schema()
     node = _resolved(root, root)
     for step in loc:
-        whole = {k: node[k] for k in ("description", "unit") if k in node}
+        whole: Schema = {k: node[k] for k in ("description", "unit") if k in node}
         tags = node.get("discriminator", {}).get("mapping", {})
         if step in node.get("properties", {}):
             node = node["properties"][step]
@@ -156,9 +157,7 @@ def _input_error(table: type[Settings], data: dict[str, Any], place: str, error:
     found = show(error["input"])
     if kind == "extra_forbidden":
         known = _schema_at(table, loc[:-1]).get("properties", {})
-        return InputError(
-            at, f"{loc[-1]} is not a key here", found, nearest(str(loc[-1]), known, what="keys")
-        )
+        return InputError(at, f"{loc[-1]} is not a key here", found, nearest(str(loc[-1]), known, what="keys"))
     node = _schema_at(table, loc)
     meaning = f"It means: {node['description']}" if "description" in node else "See the schema of the file"
     if kind == "missing":
@@ -193,15 +192,9 @@ def _rule(kind: str, told: dict[str, Any], node: Schema) -> str:
         return "the table must be written in double brackets, [[…]], because there may be several"
     if kind in ("too_short", "too_long"):
         least, most = node.get("minItems"), node.get("maxItems")
-        return (
-            f"the list must have {least} entries"
-            if least == most
-            else f"the list must have {least} entries or more"
-        )
+        return f"the list must have {least} entries" if least == most else f"the list must have {least} entries or more"
     if kind in ("string_type", "string_pattern_mismatch", "string_too_long", "string_too_short"):
-        shape = (
-            "a name: a letter first, then letters, digits or _, 64 at most" if "pattern" in node else "a text"
-        )
+        shape = "a name: a letter first, then letters, digits or _, 64 at most" if "pattern" in node else "a text"
         return f"the value must be {shape}"
     forms = {"bool_type": "true or false", "tuple_type": "a list", "list_type": "a list"}
     return f"the value must be {forms.get(kind, 'a table')}"

@@ -11,9 +11,12 @@ have their facets, not their vertices, toward x and y, so that the smallest box 
 
 from collections.abc import Callable, Sequence
 from itertools import product
+from numbers import Real
+from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull, Delaunay
+
 from tissue_contact.errors import InputError
 from tissue_contact.geometry import FloatArray, IntArray, Surface, interior_edges, volume
 
@@ -29,20 +32,16 @@ def _require(holds: bool, place: str, rule: str, value: object, way_out: str) ->
         raise InputError(place, rule, value, way_out)
 
 
-def _positive(place: str, **lengths: float) -> None:
+def _positive(place: str, **lengths: Any) -> None:
     for name, value in lengths.items():
-        good = np.isscalar(value) and np.isfinite(value) and value > 0
-        _require(
-            bool(good), f"{place}, {name}", "must be a positive length in metres", value, f"Give {name} > 0"
-        )
+        good = isinstance(value, Real) and 0 < float(value) < np.inf
+        _require(good, f"{place}, {name}", "must be a positive length in metres", value, f"Give {name} > 0")
 
 
 def _count(place: str, triangles: int, least: int) -> None:
     good = isinstance(triangles, int | np.integer) and triangles >= least
     way_out = f"Ask for {least} triangles or more"
-    _require(
-        bool(good), f"{place}, triangles", f"must be a whole number of at least {least}", triangles, way_out
-    )
+    _require(bool(good), f"{place}, triangles", f"must be a whole number of at least {least}", triangles, way_out)
 
 
 def _size(place: str, size: float | Sequence[float], n: int) -> FloatArray:
@@ -226,9 +225,7 @@ def abdominal_wall(
     fillet = SAC_FILLET * opening_radius
     edge = opening_radius + fillet
     room = 2.8 * opening_radius < lengths.min()
-    _require(
-        bool(room), f"{place}, opening_radius", "2.8 times it must fit in size", opening_radius, "Lessen it"
-    )
+    _require(bool(room), f"{place}, opening_radius", "2.8 times it must fit in size", opening_radius, "Lessen it")
     depth_fits = 0.5 <= sac_depth / opening_radius <= 6
     rule = "must be 0.5 to 6 times opening_radius"
     _require(depth_fits, f"{place}, sac_depth", rule, sac_depth, "Change one of the two")
@@ -236,9 +233,7 @@ def abdominal_wall(
     # Profile (radius, z) from the flat edge over the rounded rim and the neck to the bottom.
     turn = np.linspace(0, np.pi / 2, 500)
     angle = np.linspace(0, np.pi / 2, 4001)[1:-1]
-    r = np.r_[
-        edge - fillet * np.sin(turn), opening_radius * (np.cos(angle) + SAC_BULGE * np.sin(2 * angle) ** 2)
-    ]
+    r = np.r_[edge - fillet * np.sin(turn), opening_radius * (np.cos(angle) + SAC_BULGE * np.sin(2 * angle) ** 2)]
     z = np.r_[fillet * (np.cos(turn) - 1), -fillet - (sac_depth - fillet) * np.sin(angle)]
     ds, middle = np.hypot(np.diff(r), np.diff(z)), 0.5 * (r[1:] + r[:-1])
     area = np.r_[0, np.cumsum(2 * np.pi * middle * ds)]
@@ -290,9 +285,7 @@ def ellipsoid(radii: float | Sequence[float], triangles: int, seed: int = 0) -> 
     half = _size("ellipsoid", radii, 3)
     _count("ellipsoid", triangles, 20)
     slim = half.max() <= 20 * half.min()
-    _require(
-        bool(slim), "ellipsoid, radii", "must not differ by more than 20 times", radii, "Choose rounder radii"
-    )
+    _require(bool(slim), "ellipsoid, radii", "must not differ by more than 20 times", radii, "Choose rounder radii")
 
     def lifted(points: FloatArray) -> FloatArray:
         # Steps along the gradient of f = |p/r| − 1 land near the closest point; a ray from the centre would
@@ -398,9 +391,7 @@ def capsule(radius: float, length: float, triangles: int) -> Surface:
     _positive("capsule", radius=radius, length=length)
     _count("capsule", triangles, 8)
     long = length >= 2 * radius
-    _require(
-        long, "capsule, length", "must be at least 2 radii", length, "Give a longer one, or take a sphere"
-    )
+    _require(long, "capsule, length", "must be at least 2 radii", length, "Give a longer one, or take a sphere")
     wall = length - 2 * radius
     wall = wall if wall > 1e-3 * radius else 0.0  # no ring of triangles without height
     k, q = _divisions(0.5 * np.pi * radius, wall, triangles)
@@ -564,9 +555,7 @@ def _joined(parts: Sequence[Surface]) -> Surface:
     )
 
 
-def grasper(
-    radius: float, length: float, jaw_length: float, opening: float = 0.0, triangles: int = 300
-) -> Surface:
+def grasper(radius: float, length: float, jaw_length: float, opening: float = 0.0, triangles: int = 300) -> Surface:
     """A grasper of three convex parts: jaw toward +x (0), jaw toward −x (1), round shaft (2).
 
     The jaws are boxes as wide and together as thick as an inscribed square of the shaft; closed, they leave a

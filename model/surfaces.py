@@ -1,8 +1,10 @@
 """The surface that a tissue or an instrument of a scene names: its mesh or shape, put in its place."""
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+
 from tissue_contact import geometry, shapes
 from tissue_contact.errors import InputError
 from tissue_contact.geometry import FloatArray, Surface
@@ -39,7 +41,7 @@ def surface_of(body: Tissue | Instrument, folder: Path, place: str = "scene") ->
         A missing, unreadable or unsuitable mesh, a wrong unit scale, arguments that make no shape.
 
     """
-    purpose = "tissue" if isinstance(body, Tissue) else "instrument"
+    purpose: Literal["tissue", "instrument"] = "tissue" if isinstance(body, Tissue) else "instrument"
     here = f"{place}, {purpose}[{body.name}]"
     try:
         if body.shape is not None:

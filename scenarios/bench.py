@@ -98,9 +98,7 @@ def poses() -> Real:
 def figures(us: Real) -> dict[str, float]:
     """Median, 99th and 99.9th percentile and maximum."""
     values = np.percentile(us, [50, 99, 99.9, 100]) if us.size else np.full(4, np.nan)
-    return {
-        name: round(float(v), 3) for name, v in zip(("median", "p99", "p99.9", "max"), values, strict=True)
-    }
+    return {name: round(float(v), 3) for name, v in zip(("median", "p99", "p99.9", "max"), values, strict=True)}
 
 
 def built(text: str, folder: Path) -> tuple[Assembly, Path]:
@@ -185,11 +183,7 @@ def table(results: dict[str, Any]) -> Table:
     """The figures as a table for the screen."""
     shown = Table("scene", "what", "median", "p99", "p99.9", "max", title="µs in one step of 1 ms")
     for level, result in results.items():
-        rows = (
-            {"step": result}
-            if "median" in result
-            else {k: v for k, v in result.items() if isinstance(v, dict)}
-        )
+        rows = {"step": result} if "median" in result else {k: v for k, v in result.items() if isinstance(v, dict)}
         for what, f in rows.items():
             if not np.isnan(f["median"]):
                 shown.add_row(level, what, *(f"{f[key]:,.1f}" for key in ("median", "p99", "p99.9", "max")))

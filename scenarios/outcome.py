@@ -2,12 +2,14 @@
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from tissue_contact.errors import InputError
 from tissue_contact.files import publish
 from tissue_contact.scenarios.scenario import Expectation
@@ -102,7 +104,7 @@ def check_names(expectations: Sequence[Expectation], names: Sequence[str], place
 
 def judge(expectations: Sequence[Expectation], trace: Trace) -> list[Verdict]:
     """Hold the filled rows against the expectations, whose outputs must exist."""
-    statistics = {
+    statistics: dict[str, Callable[[FloatArray], Any]] = {
         "max": np.max,
         "min": np.min,
         "mean": np.mean,
@@ -110,8 +112,7 @@ def judge(expectations: Sequence[Expectation], trace: Trace) -> list[Verdict]:
         "peak": lambda values: np.max(np.abs(values)),
     }
     return [
-        Verdict(e, float(statistics[e.statistic](trace.column(e.output))), trace.unit(e.output))
-        for e in expectations
+        Verdict(e, float(statistics[e.statistic](trace.column(e.output))), trace.unit(e.output)) for e in expectations
     ]
 
 

@@ -1,4 +1,4 @@
-"""The figures of a run: force and depth over time, and the deformed tissue at the peak force."""
+"""The figures of a run: force and depth over time, the deformed tissue at the peak force; a scene at rest."""
 
 import io
 from collections.abc import Sequence
@@ -13,8 +13,11 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from numpy.typing import NDArray
+
 from tissue_contact.assembly import Assembly
 from tissue_contact.files import publish
+from tissue_contact.kernels.layout import State
+from tissue_contact.kernels.slots import POSE
 from tissue_contact.scenarios.outcome import FloatArray, Trace
 from tissue_contact.simulate import rollout
 from tissue_contact.surfaces import rotation_matrix
@@ -33,6 +36,8 @@ STEEL_OPACITY = 0.45
 DISPLACEMENT_COLOURS = LinearSegmentedColormap.from_list(
     "displacement", ["#f6ddcf", "#f2b49b", "#e27b6a", "#bf4551", "#8a2346", "#4f1237"]
 )
+PALE = np.array(DISPLACEMENT_COLOURS(0.2)[:3])  # tissue at rest
+STILL_SIZE = 5.0  # [inch] of the longer side of the picture of a scene at rest
 COMPONENT_COLOURS = {"x": "#4477aa", "y": "#66a61e", "z": "#d95f02"}
 
 
@@ -106,7 +111,8 @@ def history(trace: Trace, instruments: Sequence[str], title: str) -> bytes:
 
 def _png(figure: Figure) -> bytes:
     file = io.BytesIO()
-    figure.savefig(file, format="png", dpi=DOTS_PER_INCH, facecolor="white")
+    # Without matplotlib's version in it the same picture is the same file.
+    figure.savefig(file, format="png", dpi=DOTS_PER_INCH, facecolor="white", metadata={"Software": None})
     return file.getvalue()
 
 
@@ -128,6 +134,31 @@ def peak(trace: Trace, instruments: Sequence[str], assembly: Assembly, title: st
         if variable.block == "inputs":
             inputs[:, variable.slot] = trace.column(variable.name)[: row + 1]
     state = rollout(assembly, inputs, trace.time[1] - trace.time[0]).state
+    names = [v.name.removesuffix(".orientation[1]") for v in assembly.variables if ".orientation[1]" in v.name]
+    leading = names.index(leader) if leader in names else None
+    rest, tissue, bodies, up = _placed(assembly, state, inputs[row], leading)
+    when = f"peak force {forces[leader][row]:.3g} N" if leader is not None and touched else "no contact"
+    return picture(tissue, rest, bodies, up, f"{title}: {when}, t = {trace.time[row]:.3f} s")
+
+
+def still(assembly: Assembly) -> bytes:
+    """The scene at its start: tissue and instruments, as PNG."""
+    leading = 0 if len(assembly.model.instrument_part_start) > 1 else None
+    _, tissue, bodies, up = _placed(assembly, assembly.state, assembly.inputs, leading)
+    image = _scene(tissue, np.tile(PALE, (len(tissue.triangles), 1)), bodies, up)
+    height, width = image.shape[:2]
+    figure = Figure(figsize=(STILL_SIZE * width / max(width, height), STILL_SIZE * height / max(width, height)))
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((0.02, 0.02, 0.96, 0.96))
+    axes.imshow(image, interpolation="antialiased")
+    axes.set_axis_off()
+    return _png(figure)
+
+
+def _placed(
+    assembly: Assembly, state: State, inputs: FloatArray, leading: int | None
+) -> tuple[FloatArray, Mesh, list[Mesh], FloatArray]:
+    """Rest places of the vertices, the tissue, the bodies at the poses of `inputs`, where instrument `leading` ends."""
     model = assembly.model
     rest = np.column_stack([model.rest_x, model.rest_y, model.rest_z])
     tissue = Mesh(
@@ -137,21 +168,15 @@ def peak(trace: Trace, instruments: Sequence[str], assembly: Assembly, title: st
     bodies, up = [], np.array([0.0, 0.0, 1.0])
     body_points = np.column_stack([model.instrument_x, model.instrument_y, model.instrument_z])
     body_triangles = np.column_stack([model.instrument_a, model.instrument_b, model.instrument_c])
-    names = [
-        v.name.removesuffix(".position[1]") for v in assembly.variables if v.name.endswith(".position[1]")
-    ]
-    for i, name in enumerate(n for n in names if f"{n}.orientation[1]" in trace.names):
-        position = trace.vector(f"{name}.position")[row]
-        quaternion = np.array([trace.column(f"{name}.orientation[{k}]")[row] for k in range(1, 5)])
-        turn = rotation_matrix(tuple(quaternion / np.linalg.norm(quaternion)))
+    for i in range(len(model.instrument_triangle_start) - 1):
+        pose = inputs[POSE * i : POSE * (i + 1)]
+        turn = rotation_matrix(tuple(pose[3:] / np.linalg.norm(pose[3:])))
         begin, end = model.instrument_triangle_start[i : i + 2]
-        own = body_triangles[begin:end]
-        bodies.append(Mesh(body_points @ turn.T + position, own))
-        if name == leader:
+        bodies.append(Mesh(body_points @ turn.T + pose[:3], body_triangles[begin:end]))
+        if i == leading:
             shaft = model.part_axis[6 * model.instrument_part_start[i] :][:6].reshape(2, 3)
             up = turn @ (shaft[1] - shaft[0])
-    when = f"peak force {forces[leader][row]:.3g} N" if leader is not None and touched else "no contact"
-    return picture(tissue, rest, bodies, up, f"{title}: {when}, t = {trace.time[row]:.3f} s")
+    return rest, tissue, bodies, up
 
 
 def picture(tissue: Mesh, rest: FloatArray, bodies: Sequence[Mesh], up: FloatArray, title: str) -> bytes:
@@ -171,24 +196,10 @@ def picture(tissue: Mesh, rest: FloatArray, bodies: Sequence[Mesh], up: FloatArr
         Over the picture.
 
     """
-    upright = _upright(up)
-    turned = Mesh(tissue.vertices @ upright.T, tissue.triangles)
     moved = 1e3 * np.linalg.norm(tissue.vertices - rest, axis=1)
     span = Normalize(0.0, max(float(moved.max()), 1e-3))
-    corners = [turned.vertices[turned.triangles]]
-    base = [DISPLACEMENT_COLOURS(span(moved[turned.triangles].mean(axis=1)))[:, :3]]
-    opacity = [np.ones(len(turned.triangles))]
-    camera = _camera()
-    for body in bodies:
-        body_corners = (body.vertices @ upright.T)[body.triangles]
-        body_corners = body_corners[_normals(body_corners) @ camera > 0]  # the far side would show through
-        corners.append(body_corners)
-        base.append(np.tile(STEEL, (len(body_corners), 1)))
-        opacity.append(np.full(len(body_corners), STEEL_OPACITY))
-    faces, colour, alpha = 1e3 * np.concatenate(corners), np.concatenate(base), np.concatenate(opacity)
-    shaded = np.column_stack([_lit(faces, colour, camera), alpha])
-
-    image = _rendered(faces, shaded, alpha == 1.0)
+    colours = DISPLACEMENT_COLOURS(span(moved[tissue.triangles].mean(axis=1)))[:, :3]
+    image = _scene(tissue, colours, bodies, up)
 
     height = 5.6  # [inch] of the picture itself
     width = float(np.clip(height * image.shape[1] / image.shape[0], 4.0, 10.0))
@@ -199,11 +210,24 @@ def picture(tissue: Mesh, rest: FloatArray, bodies: Sequence[Mesh], up: FloatArr
     axes.imshow(image, interpolation="antialiased")
     axes.set_axis_off()
     legend = figure.add_axes(((width + 0.25) / total[0], 0.25, 0.2 / total[0], 0.5))
-    figure.colorbar(
-        ScalarMappable(span, DISPLACEMENT_COLOURS), cax=legend, label="displacement of the tissue [mm]"
-    )
+    figure.colorbar(ScalarMappable(span, DISPLACEMENT_COLOURS), cax=legend, label="displacement of the tissue [mm]")
     figure.suptitle(title, y=1 - 0.18 / total[1], fontsize=12, va="top")
     return _png(figure)
+
+
+def _scene(tissue: Mesh, colours: FloatArray, bodies: Sequence[Mesh], up: FloatArray) -> NDArray[np.uint8]:
+    """Shaded tissue, its triangles in `colours`, and half-transparent bodies; shape (rows, columns, 4)."""
+    upright, camera = _upright(up), _camera()
+    corners = [(tissue.vertices @ upright.T)[tissue.triangles]]
+    base, opacity = [colours], [np.ones(len(tissue.triangles))]
+    for body in bodies:
+        body_corners = (body.vertices @ upright.T)[body.triangles]
+        body_corners = body_corners[_normals(body_corners) @ camera > 0]  # the far side would show through
+        corners.append(body_corners)
+        base.append(np.tile(STEEL, (len(body_corners), 1)))
+        opacity.append(np.full(len(body_corners), STEEL_OPACITY))
+    faces, colour, alpha = 1e3 * np.concatenate(corners), np.concatenate(base), np.concatenate(opacity)
+    return _rendered(faces, np.column_stack([_lit(faces, colour, camera), alpha]), alpha == 1.0)
 
 
 def _rendered(faces: FloatArray, colours: FloatArray, solid: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -218,9 +242,7 @@ def _rendered(faces: FloatArray, colours: FloatArray, solid: NDArray[np.bool_]) 
     )
     low, high = faces.min(axis=(0, 1)), faces.max(axis=(0, 1))
     size = np.maximum(high - low, 0.01 * (high - low).max())
-    axes.set(
-        xlim=(low[0], low[0] + size[0]), ylim=(low[1], low[1] + size[1]), zlim=(low[2], low[2] + size[2])
-    )
+    axes.set(xlim=(low[0], low[0] + size[0]), ylim=(low[1], low[1] + size[1]), zlim=(low[2], low[2] + size[2]))
     axes.set_proj_type("persp", focal_length=1.6)
     axes.set_box_aspect(tuple(size), zoom=0.85)  # it scales an array in place
     axes.view_init(ELEVATION, AZIMUTH)
@@ -231,7 +253,7 @@ def _rendered(faces: FloatArray, colours: FloatArray, solid: NDArray[np.bool_]) 
     axes.text(*(end - [0.5 * bar, 0.02 * size[1], 0]), f"{bar:g} mm", ha="right", va="top", fontsize=22)
     canvas.draw()
     image = np.asarray(canvas.buffer_rgba())
-    drawn = (image[:, :, :3] < 255).any(axis=2)
+    drawn = np.any(image[:, :, :3] < 255, axis=2)
     rows, columns = np.flatnonzero(drawn.any(axis=1)), np.flatnonzero(drawn.any(axis=0))
     return image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].copy()
 

@@ -11,14 +11,15 @@ from typing import Any
 
 import fmpy
 import numpy as np
-import tissue_contact
-import tissue_contact.fmu
 from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription, ScalarVariable
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
+
+import tissue_contact
+import tissue_contact.fmu
 from tissue_contact import cache
 from tissue_contact.assemble import assemble
 from tissue_contact.assembly import Assembly
@@ -95,9 +96,7 @@ def check_parameters(values: Mapping[str, float], description: ModelDescription)
     for name, value in values.items():
         place = f"--set {name}={value:g}"
         if name not in known:
-            raise InputError(
-                place, "the FMU must have the parameter", name, nearest(name, known, what="parameters")
-            )
+            raise InputError(place, "the FMU must have the parameter", name, nearest(name, known, what="parameters"))
         low, high = _bound(known[name].min, -np.inf), _bound(known[name].max, np.inf)
         if not low <= value <= high:  # also refuses NaN
             rule = f"the value must lie between {low:g} and {high:g} {known[name].unit or ''}".rstrip()
@@ -112,9 +111,7 @@ def _bound(text: str | None, default: float) -> float:
 
 
 @contextmanager
-def instance_of(
-    path: Path, description: ModelDescription, log: list[tuple[int, str]]
-) -> Iterator[fmi2.FMU2Slave]:
+def instance_of(path: Path, description: ModelDescription, log: list[tuple[int, str]]) -> Iterator[fmi2.FMU2Slave]:
     """An instance of an FMU, freed at the end; what it logs, as (status, text), goes to `log`."""
 
     def logger(environment: Any, instance: bytes, status: int, category: bytes, message: bytes) -> None:
@@ -243,7 +240,7 @@ def communication_points(stop_time: float, step: float) -> tuple[FloatArray, Flo
     Steps are not differences of times, whose last bits vary: every full step is the same number.
     """
     n = max(1, int(np.ceil(stop_time / step - 1e-9)))
-    times, steps = step * np.arange(n + 1), np.full(n, step)
+    times, steps = step * np.arange(n + 1, dtype=np.float64), np.full(n, step)
     if times[-1] - stop_time > 1e-9 * step:
         steps[-1] = stop_time - times[-2]
     times[-1] = stop_time
@@ -378,9 +375,7 @@ def _bar(console: Console, wanted: bool) -> Progress:
 def print_summary(outcome: Outcome, console: Console) -> None:
     """Print what a run came to and how its expectations fared."""
     summary, trace = outcome.summary, outcome.trace
-    table = Table(
-        title=f"{outcome.scenario.name}: {trace.time[-1]:g} s in {trace.done - 1} steps", show_header=False
-    )
+    table = Table(title=f"{outcome.scenario.name}: {trace.time[-1]:g} s in {trace.done - 1} steps", show_header=False)
     for name, force in summary.peak_force.items():
         at = f"at {summary.peak_time[name]:.3f} s" if force > 0 else "no contact"
         table.add_row(f"{name}: peak force", f"{force:.4g} N, {at}")

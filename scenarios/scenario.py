@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, PrivateAttr, model_validator
+
 from tissue_contact.errors import InputError
 from tissue_contact.scenarios.stimulus import Declared, Stimulus
 from tissue_contact.scene import Scene, read_scene
@@ -94,9 +95,10 @@ def find_scenario(word: str | Path) -> Path:
     path = Path(word)
     if path.is_file():
         return path
-    for folder in (path, SHIPPED / path):
-        if (folder / FILE).is_file():
-            return folder / FILE
+    if (path / FILE).is_file():
+        return path / FILE
+    if str(word) in shipped_names():
+        return SHIPPED / word / FILE
     rule = f"a scenario must be a folder with a {FILE}, such a file, or a shipped name"
     found = f"a folder without {FILE}" if path.is_dir() else "no such file or folder"
     raise InputError(str(word), rule, found, nearest(path.name, shipped_names(), what="shipped scenarios"))
@@ -124,9 +126,7 @@ def read_scenario(word: str | Path) -> Scenario:
         word = declared.instrument
         if not word and len(names) != 1:
             way_out = f"Name one of {', '.join(names)}" if names else "Declare an [[instrument]] in the scene"
-            raise InputError(
-                here, "a stimulus must name its instrument", f"{len(names)} in the scene", way_out
-            )
+            raise InputError(here, "a stimulus must name its instrument", f"{len(names)} in the scene", way_out)
         if word and word not in names:
             raise InputError(here, "the instrument must be in the scene", show(word), nearest(word, names))
         chosen = word or names[0]

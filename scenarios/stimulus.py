@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
+
 from tissue_contact.errors import InputError
 from tissue_contact.scene import IDENTITY, Point, Quaternion
 from tissue_contact.settings import Settings, broken, items, nearest, quantity
@@ -77,9 +78,9 @@ class Tremor(Settings):
     """The hand's tremor: band-limited noise, independent along x, y and z, on top of a path."""
 
     amplitude: float = quantity("m", 0, 0.01, "root mean square along each axis")
-    band: Annotated[
-        tuple[Annotated[float, Field(ge=0.01, le=1000)], ...], Field(min_length=2, max_length=2)
-    ] = items("Hz", "least and greatest frequency", (8.0, 12.0))
+    band: Annotated[tuple[Annotated[float, Field(ge=0.01, le=1000)], ...], Field(min_length=2, max_length=2)] = items(
+        "Hz", "least and greatest frequency", (8.0, 12.0)
+    )
     seed: int = quantity("1", 0, 2**31 - 1, "number that picks the noise", 0)
 
     @model_validator(mode="after")
@@ -120,9 +121,7 @@ class _Along(_Turned):
     @model_validator(mode="after")
     def _has_direction(self) -> "_Along":
         if np.linalg.norm(self.axis) < 1e-9:
-            raise broken(
-                ("axis",), "an axis must have a direction", list(self.axis), "Give [0, 0, -1] for down"
-            )
+            raise broken(("axis",), "an axis must have a direction", list(self.axis), "Give [0, 0, -1] for down")
         return self
 
     def _at(self, share: FloatArray) -> Poses:
@@ -279,9 +278,7 @@ class Recording(_Path):
         return _between(stamp, recorded.position, recorded.orientation, times, lambda u: u)
 
 
-def _between(
-    stamp: FloatArray, position: FloatArray, orientation: FloatArray, times: FloatArray, ease: Any
-) -> Poses:
+def _between(stamp: FloatArray, position: FloatArray, orientation: FloatArray, times: FloatArray, ease: Any) -> Poses:
     if len(stamp) == 1:
         n = len(times)
         return Poses(np.repeat(position, n, axis=0), np.repeat(orientation, n, axis=0))
@@ -337,14 +334,10 @@ def read_recording(path: Path, instrument: str) -> Recorded:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(str(path), "a recording must be UTF-8 text", str(error), "Save it as CSV") from error
-    lines = [
-        (n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and line.lstrip()[0] != "#"
-    ]
+    lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and line.lstrip()[0] != "#"]
     if len(lines) < 2:
         way_out = "Record at least one line under the header"
-        raise InputError(
-            str(path), "a recording must have a header and a pose", f"{len(lines)} lines", way_out
-        )
+        raise InputError(str(path), "a recording must have a header and a pose", f"{len(lines)} lines", way_out)
     separator = max(",;\t", key=lines[0][1].count)
     rows = list(csv.reader((line for _, line in lines), delimiter=separator))
     columns, factors = _columns(f"{path}:{lines[0][0]}", rows[0], instrument)
@@ -388,15 +381,9 @@ def _columns(place: str, header: Sequence[str], instrument: str) -> tuple[list[i
         assert match is not None  # the pattern takes any title
         name = match[1].strip().strip('"')
         if name in found:
-            raise InputError(
-                place, "a column must appear once", f"{name} twice", "Rename or remove one of the two"
-            )
+            raise InputError(place, "a column must appear once", f"{name} twice", "Rename or remove one of the two")
         found[name] = (i, match[2] or match[3] or "")
-    long = [
-        f"{instrument}.{part}[{k}]"
-        for part, n in (("position", 3), ("orientation", 4))
-        for k in range(1, n + 1)
-    ]
+    long = [f"{instrument}.{part}[{k}]" for part, n in (("position", 3), ("orientation", 4)) for k in range(1, n + 1)]
     short = ["x", "y", "z", "qw", "qx", "qy", "qz"]
     wanted = long if any(name in found for name in long) or "x" not in found else short
     if not any(name in found for name in wanted[3:]):

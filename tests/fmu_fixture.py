@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fmu_importer import Instance, Unpacked
+
 from tissue_contact.assembly import Assembly, start_values
 from tissue_contact.fmu.build import build
 from tissue_contact.kernels.layout import Model, Scratch, State, blocks, pack

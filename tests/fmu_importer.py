@@ -93,9 +93,7 @@ class Instance:
 
     def setup(self, start=0.0, stop=None):
         defined = c_int(stop is not None)
-        return self.call(
-            "fmi2SetupExperiment", c_int(0), c_double(0), c_double(start), defined, c_double(stop or 0.0)
-        )
+        return self.call("fmi2SetupExperiment", c_int(0), c_double(0), c_double(start), defined, c_double(stop or 0.0))
 
     def enter(self):
         return self.call("fmi2EnterInitializationMode")

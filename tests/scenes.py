@@ -45,7 +45,9 @@ def settled(assembly: Assembly, pose: np.ndarray) -> Instance:
     return instance
 
 
-def chain(masses: int, stiffness: float, mass: float, spacing: float, damping: float = 0.0, **solver: float) -> Assembly:
+def chain(
+    masses: int, stiffness: float, mass: float, spacing: float, damping: float = 0.0, **solver: float
+) -> Assembly:
     """A straight chain along x between two fixed ends, made of the arrays of a scene with its triangles taken away.
 
     Parameters
@@ -83,7 +85,7 @@ def chain(masses: int, stiffness: float, mass: float, spacing: float, damping: f
     state = base.state._replace(**places, vx=zeros, vy=zeros, vz=zeros)
     vertex_fields = ("outcode", "fx", "fy", "fz", "body_x", "body_y", "body_z", "loss", "vertex_share")
     scratch = base.scratch._replace(
-        **{name: zeros for name in vertex_fields},
+        **dict.fromkeys(vertex_fields, zeros),
         unit_x=springs, unit_y=springs, unit_z=springs, solve=np.zeros(9 * n if damping else 0),
     )  # fmt: skip
     packed_model, packed_state, packed_scratch = pack(model), pack(state), pack(scratch)

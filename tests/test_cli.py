@@ -4,9 +4,11 @@ import json
 import subprocess
 import sys
 import time
+import zipfile
 from pathlib import Path
 
 import pytest
+
 from tissue_contact import geometry
 from tissue_contact.shapes import ellipsoid
 from tissue_contact.surfaces import stl_bytes
@@ -122,9 +124,15 @@ def test_a_step_that_cannot_be_done_is_1(folder: Path) -> None:
 
 
 def test_build_and_check(folder: Path) -> None:
-    fmu = folder / "x.fmu"
-    done = command("build", folder / "scene.toml", "-o", fmu, "--platform", "linux64")
-    assert done.returncode == 0, done.stderr
+    fmu, again = folder / "x.fmu", folder / "again.fmu"
+    for path in (fmu, again):
+        done = command("build", folder / "scene.toml", "-o", path, "--platform", "linux64")
+        assert done.returncode == 0, done.stderr
+    assert fmu.read_bytes() == again.read_bytes()
+    with zipfile.ZipFile(fmu) as archive:
+        picture = archive.read("model.png")
+        assert picture.startswith(b"\x89PNG") and b"Software" not in picture and len(picture) > 10_000
+        assert archive.read("documentation/model.png") == picture
     done = command("check", fmu)
     assert (done.returncode, "no findings" in done.stdout) == (0, True), done.stdout
     fmu.write_bytes(b"no zip")

@@ -74,10 +74,7 @@ def brute_force(instance: Instance) -> set[tuple[int, int]]:
         for corners in zip(model.instrument_a, model.instrument_b, model.instrument_c, strict=True)
     ]
     return {
-        (t, u)
-        for t, a in enumerate(tissue)
-        for u, b in enumerate(instrument)
-        if intersect(*a, *b, ROOM) == INTERSECT
+        (t, u) for t, a in enumerate(tissue) for u, b in enumerate(instrument) if intersect(*a, *b, ROOM) == INTERSECT
     }
 
 
@@ -108,7 +105,9 @@ def test_same_pairs_as_brute_force_on_deforming_meshes(shape):
 
 
 def test_cell_classes_add_up_to_the_grid():
-    instance = settled(assembled(SCENE.format(triangles=300, seed=1, instrument=INSTRUMENTS[0])), [0, 0, -0.001, 1, 0, 0, 0])
+    instance = settled(
+        assembled(SCENE.format(triangles=300, seed=1, instrument=INSTRUMENTS[0])), [0, 0, -0.001, 1, 0, 0, 0]
+    )
     assert instance.scratch.cells.sum() == instance.model.grid_size.prod()
     assert instance.scratch.cells[POTENTIAL] <= instance.model.grid_occupied[0]
 
@@ -121,7 +120,9 @@ def test_detection_with_nothing_near_finds_nothing():
 
 
 def test_sides_are_forgotten_when_the_instrument_leaves():
-    instance = settled(assembled(SCENE.format(triangles=300, seed=1, instrument=INSTRUMENTS[0])), [0, 0, -0.002, 1, 0, 0, 0])
+    instance = settled(
+        assembled(SCENE.format(triangles=300, seed=1, instrument=INSTRUMENTS[0])), [0, 0, -0.002, 1, 0, 0, 0]
+    )
     assert (instance.state.side == FACING).any()
     instance.inputs[2] = 0.05
     for _ in range(2):  # the first step ends away from the tissue
@@ -133,7 +134,8 @@ def test_sides_are_forgotten_when_the_instrument_leaves():
 def test_two_places_are_two_regions(tmp_path):
     """A fork with two prongs touches a flat sheet in two places."""
     prong = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 10)], float) * 1e-3
-    faces = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]])  # fmt: skip
+    sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    faces = np.array([corners for a, b, c, d in sides for corners in ([a, b, c], [a, c, d])])
     vertices = np.concatenate([prong - [0.006, 0, 0], prong + [0.005, 0, 0]])
     mesh = write_mesh(tmp_path / "fork.obj", vertices, np.concatenate([faces, faces + 8]))
     assembly = assembled(

@@ -91,7 +91,9 @@ def energy_after(substeps: int, steps: int) -> float:
     instance.state.x[1:-1] += rng.normal(0, 1e-4, 8)
     for _ in range(steps):
         instance.step(0.03)
-    return float(instance.outputs[index(assembly, "energy.kinetic")] + instance.outputs[index(assembly, "energy.elastic")])
+    return float(
+        instance.outputs[index(assembly, "energy.kinetic")] + instance.outputs[index(assembly, "energy.elastic")]
+    )
 
 
 def test_stable_limit_of_a_chain():

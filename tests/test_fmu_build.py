@@ -17,6 +17,7 @@ import pytest
 from fmpy.model_description import read_model_description
 from fmu_fixture import GAIN, KERNELS, PLATFORM, POSITION, PULL, VARIABLES, tiny_assembly, tiny_fmu
 from lxml import etree
+
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.fmu import archive, compile, description, entry, model_bin
 from tissue_contact.fmu.build import build
@@ -41,6 +42,32 @@ def everywhere(tmp_path_factory):
 def entries(path):
     with zipfile.ZipFile(path) as archive:
         return {name: archive.read(name) for name in archive.namelist()}
+
+
+def test_reason_of_a_failed_compilation(tmp_path):
+    sources = {
+        "initialize(model, parameters, state, inputs, outputs, scratch)": "return parameters.no_such",
+        "step(model, parameters, state, inputs, h, outputs, scratch)": "return 0",
+    }
+    functions = [f"@njit\ndef {head}:\n    {body}\n" for head, body in sources.items()]
+    (tmp_path / "step.py").write_text("from numba import njit\n\n\n" + "\n\n".join(functions))
+    with pytest.raises(WorkError, match="Unknown attribute 'no_such'") as caught:
+        compile.kernels_ir(tmp_path / "step.py", lambda _: None)
+    told = str(caught.value)
+    assert "return parameters.no_such" in told and "step.py" in told
+    assert "site-packages" not in told and "\x1b" not in told and told.count("\n") < 6
+
+
+@pytest.mark.parametrize(
+    ("trace", "told"),
+    [
+        ("Traceback:\n  File\nImportError: No module named 'x'\n", "ImportError: No module named 'x'"),
+        ("Segmentation fault\n", "Segmentation fault"),
+        ("", "it ended without a word"),
+    ],
+)
+def test_reason_of_other_failures(trace, told):
+    assert compile.reason(trace) == told
 
 
 # --- what the checkers say ----------------------------------------------------------------------------------
@@ -347,9 +374,7 @@ def test_structure_lists_every_output_with_its_dependencies(fmu_path):
         unknowns = root.find(f"ModelStructure/{element}")
         assert [u.get("index") for u in unknowns] == ["3", "4", "5"]
         assert {u.get("dependencies") for u in unknowns} == {knowns}
-        assert {u.get("dependenciesKind") for u in unknowns} == {
-            " ".join(["dependent"] * len(knowns.split()))
-        }
+        assert {u.get("dependenciesKind") for u in unknowns} == {" ".join(["dependent"] * len(knowns.split()))}
 
 
 def test_description_has_no_time_stamp(fmu_path):

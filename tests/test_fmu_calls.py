@@ -19,6 +19,7 @@ from fmu_importer import (
     TERMINATED,
     Instance,
 )
+
 from tissue_contact import status
 
 MODES = ("instantiated", "initialization", "step", "failed", "terminated")

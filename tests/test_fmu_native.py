@@ -6,6 +6,7 @@ import subprocess
 import numpy as np
 import pytest
 from fmu_fixture import KERNELS, tiny_assembly
+
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.fmu import compile, native
 from tissue_contact.fmu.build import build
@@ -118,9 +119,7 @@ __attribute__((destructor)) static void tell(void)
 @LINUX
 def test_a_step_allocates_nothing(path, tmp_path):
     (tmp_path / "count.c").write_text(COUNT_ALLOCATIONS, "utf-8")
-    compile.zig(
-        ["-target", "x86_64-linux-gnu", "-shared", "-fPIC", "-O1", "count.c", "-o", "count.so"], tmp_path
-    )
+    compile.zig(["-target", "x86_64-linux-gnu", "-shared", "-fPIC", "-O1", "count.c", "-o", "count.so"], tmp_path)
 
     def allocations(steps):
         file = tmp_path / f"count{steps}"

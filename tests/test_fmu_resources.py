@@ -8,6 +8,7 @@ from urllib.parse import quote
 import pytest
 from fmu_fixture import POSITION, tiny_fmu
 from fmu_importer import Instance, Unpacked
+
 from tissue_contact.fmu import entry, model_bin
 
 
@@ -39,9 +40,7 @@ def test_location_is_found(place, form):
     made.free()
 
 
-@pytest.mark.parametrize(
-    "location", [None, b"", b"file:///nowhere/resources", b"http://host/x", b"file:", b"file://"]
-)
+@pytest.mark.parametrize("location", [None, b"", b"file:///nowhere/resources", b"http://host/x", b"file:", b"file://"])
 def test_location_that_does_not_do_is_explained(fmu, location):
     made = Instance(fmu, location=location)
     assert made.c is None

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+
 from tissue_contact import geometry, shapes
 from tissue_contact.errors import InputError
 from tissue_contact.geometry import Surface
@@ -244,9 +245,7 @@ def test_edges_flaps_and_boundary_by_brute_force(surface):
 
 
 def test_flaps_leave_out_nonmanifold_edges():
-    book = Surface(
-        [[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0]], [[0, 1, 2], [0, 1, 3], [0, 1, 4]]
-    )
+    book = Surface([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0]], [[0, 1, 2], [0, 1, 3], [0, 1, 4]])
     assert geometry.flaps(book).shape == (0, 2)
     report = geometry.inspect(book)
     assert (report.nonmanifold_edges, report.boundary_edges, report.components) == (1, 6, 3)
@@ -505,9 +504,7 @@ def test_several_pieces_need_many_parts(tmp_path):
     one = tetrahedron()
     vertices, triangles = np.concatenate([one.vertices, one.vertices + 0.3]), one.triangles
     path = write_obj(tmp_path / "a.obj", vertices, np.concatenate([triangles, triangles + 4]))
-    with pytest.raises(
-        InputError, match=r"a tissue must be of one piece; found 2 components.*many_parts = true"
-    ):
+    with pytest.raises(InputError, match=r"a tissue must be of one piece; found 2 components.*many_parts = true"):
         geometry.load(path)
     assert geometry.load(path, many_parts=True)[0].part.tolist() == [0] * 8
     surface, _, _ = geometry.load(path, many_parts=True, purpose="instrument")
@@ -534,9 +531,7 @@ def test_a_one_sided_surface_is_refused(tmp_path):
 def test_nonmanifold_tissue_is_refused_whatever_the_switches(tmp_path):
     vertices = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0]]) * 0.1
     path = write_obj(tmp_path / "a.obj", vertices, [[0, 1, 2], [0, 1, 3], [0, 1, 4]])
-    with pytest.raises(
-        InputError, match=r"at most two triangles of a tissue may share an edge; found 1 edges"
-    ):
+    with pytest.raises(InputError, match=r"at most two triangles of a tissue may share an edge; found 1 edges"):
         geometry.load(path, open_surface=True, many_parts=True)
     surface, _, _ = geometry.load(path, open_surface=True, many_parts=True, purpose="instrument")
     assert surface.part.tolist() == [0, 0, 0]
@@ -600,9 +595,7 @@ def test_box_of_a_turned_box_is_found(seed):
     rotation = Rotation.random(rng=rng).as_matrix()
     shift = rng.normal(size=3)
     inside = rng.uniform(-0.5, 0.5, (50, 3)) * size
-    points = (
-        np.concatenate([shapes.box(size, 100).vertices - (0, 0, size[2] / 2), inside]) @ rotation.T + shift
-    )
+    points = np.concatenate([shapes.box(size, 100).vertices - (0, 0, size[2] / 2), inside]) @ rotation.T + shift
     centre, axes, half = geometry.oriented_box(points)
     check_box(points, centre, axes, half)
     assert sorted(half) == pytest.approx(sorted(size / 2), rel=1e-6)

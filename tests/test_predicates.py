@@ -61,9 +61,7 @@ def reference(t, u):
     if not any(nt) or not any(nu) or not any(dot(nt, sub(p, t[0])) for p in u):
         return COPLANAR
     pairs = [(k, (k + 1) % 3) for k in range(3)]
-    meets = any(
-        segment_meets(u[i], u[j], t, nt) or segment_meets(t[i], t[j], u, nu) for i, j in pairs
-    )
+    meets = any(segment_meets(u[i], u[j], t, nt) or segment_meets(t[i], t[j], u, nu) for i, j in pairs)
     return INTERSECT if meets else DISJOINT
 
 

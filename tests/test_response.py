@@ -49,8 +49,10 @@ def test_raw_sum_over_pairs_does_depend_on_the_meshes():
     assert max(forces) > 2 * min(forces)
 
 
-unit = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1).map(
-    lambda v: tuple(np.array(v) / np.linalg.norm(v))
+unit = (
+    st.tuples(*[st.floats(-1, 1)] * 3)
+    .filter(lambda v: np.linalg.norm(v) > 0.1)
+    .map(lambda v: tuple(np.array(v) / np.linalg.norm(v)))
 )
 
 
@@ -71,7 +73,11 @@ def test_penetration_vector_reaches_the_support_of_the_box(seed, inner, half, fr
 def test_climbing_a_hull_finds_the_support_of_all_the_vertices():
     seed = 31
     rng = np.random.default_rng(seed)
-    for shape in (shapes.capsule(0.003, 0.03, 300), shapes.box((0.01, 0.02, 0.03), 192), shapes.grasper(0.002, 0.03, 0.01)):
+    for shape in (
+        shapes.capsule(0.003, 0.03, 300),
+        shapes.box((0.01, 0.02, 0.03), 192),
+        shapes.grasper(0.002, 0.03, 0.01),
+    ):
         hull = geometry.convex_hull(shape, 0)
         points = shape.vertices[np.unique(shape.triangles[shape.part == 0])]
         starts = np.cumsum([0, *map(len, hull.neighbours)])
@@ -155,7 +161,10 @@ def test_force_and_torque_are_equal_and_opposite(response):
     initialize(instance.model, instance.parameters, instance.state, instance.inputs, instance.outputs, instance.scratch)
     x = np.array([instance.state.x, instance.state.y, instance.state.z]).T
     f = np.array([instance.scratch.fx, instance.scratch.fy, instance.scratch.fz]).T
-    force, torque = instance.outputs[vector(assembly, "instrument.force")], instance.outputs[vector(assembly, "instrument.torque")]
+    force, torque = (
+        instance.outputs[vector(assembly, "instrument.force")],
+        instance.outputs[vector(assembly, "instrument.torque")],
+    )
     assert np.linalg.norm(force) > 0.01
     assert f.sum(axis=0) == pytest.approx(-force, abs=1e-14)
     about_origin = torque + np.cross(instance.inputs[:3], force)
@@ -225,7 +234,7 @@ def test_renumbering_and_rigid_motion_change_nothing(tmp_path):
     write_mesh(tmp_path / "plain.obj", organ.vertices, organ.triangles)
     write_mesh(tmp_path / "shuffled.obj", organ.vertices[order], turned)
     text = PROBE.format(solver="", response="hull")
-    shape = text[text.index("shape = { kind = \"ellipsoid\"") : text.index("areal_density")]
+    shape = text[text.index('shape = { kind = "ellipsoid"') : text.index("areal_density")]
     poses = moving_poses(40)
     plain = run(assembled(text.replace(shape, 'mesh = "plain.obj"\n'), tmp_path), poses)
     peak = abs(plain[:, :3]).max()

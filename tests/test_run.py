@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.image import imread
+
 from tissue_contact.assemble import assemble
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.files import publish
 from tissue_contact.scenarios import run as run_module
 from tissue_contact.scenarios.outcome import Trace, check_names, judge, summarise, write_csv
-from tissue_contact.scenarios.report import CANVAS, Mesh, _rendered, history, picture
+from tissue_contact.scenarios.report import CANVAS, Mesh, _rendered, history, picture, still
 from tissue_contact.scenarios.run import Interrupted, communication_points, run, scene_key
 from tissue_contact.scenarios.scenario import Expectation, Scenario, read_scenario
 from tissue_contact.scenarios.stimulus import read_recording
@@ -84,9 +85,7 @@ def test_csv_reads_back_the_same_with_units(tmp_path: Path) -> None:
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["a.csv"]
 
 
-def test_a_file_that_cannot_be_written_leaves_the_old_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "a.csv"
     publish(file, b"old")
 
@@ -118,9 +117,7 @@ def test_nan_never_holds() -> None:
 
 def test_unknown_output_names_the_nearest() -> None:
     given = Expectation(output="probe.forc[1]", statistic="max", at_most=1.0)
-    with pytest.raises(
-        InputError, match=r"s\.toml, expect\[0\]\.output.*probe\.forc\[1\].*probe\.force\[1\]"
-    ):
+    with pytest.raises(InputError, match=r"s\.toml, expect\[0\]\.output.*probe\.forc\[1\].*probe\.force\[1\]"):
         check_names([given], ["probe.force[1]", "probe.depth"], "s.toml")
 
 
@@ -226,9 +223,7 @@ def test_parameters_are_set_and_checked(tiny: Scenario, tmp_path: Path) -> None:
     assert not (tmp_path / "none").exists()
 
 
-def test_a_failing_step_keeps_the_rows_before(
-    tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failing_step_keeps_the_rows_before(tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = run(tiny, tmp_path, figures=False).trace
     before = (tmp_path / "tiny.csv").read_bytes()
     sample = type(tiny.stimulus).sample
@@ -239,9 +234,7 @@ def test_a_failing_step_keeps_the_rows_before(
         return found
 
     monkeypatch.setattr(type(tiny.stimulus), "sample", broken)
-    with pytest.raises(
-        WorkError, match=r"fmi2\w+: .*finite.* Kept the 40 rows up to 0\.039 s in .*tiny\.partial\.csv"
-    ):
+    with pytest.raises(WorkError, match=r"fmi2\w+: .*finite.* Kept the 40 rows up to 0\.039 s in .*tiny\.partial\.csv"):
         run(tiny, tmp_path, figures=False)
     rows = list(csv.reader((tmp_path / "tiny.partial.csv").open()))
     assert len(rows) == 41
@@ -252,9 +245,7 @@ def test_a_failing_step_keeps_the_rows_before(
     assert not (tmp_path / "tiny.partial.csv").exists()
 
 
-def test_an_interrupt_keeps_the_rows_before(
-    tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupt_keeps_the_rows_before(tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read, count = run_module._Port.read, itertools.count()
 
     def stopped(self: run_module._Port, slave: object) -> None:
@@ -295,6 +286,17 @@ def test_picture_shows_tissue_and_instrument_uncut() -> None:
         assert ((image[:, :, 2] - image[:, :, 0]) > 0.02).any()  # the steel
 
 
+def test_a_scene_at_rest(tiny: Scenario) -> None:
+    assembly = assemble(tiny.scene)
+    first = still(assembly)
+    assert first == still(assembly)
+    image = pixels(first)
+    red = image[:, :, 0] - image[:, :, 2]
+    assert (red > 0.1).mean() > 0.1 and (red < -0.02).any()  # the tissue, the steel
+    assembly.inputs[2] += 0.01
+    assert still(assembly) != first
+
+
 def test_rendering_is_not_cut_at_the_edge_of_the_canvas() -> None:
     rod = capsule(0.003, 0.03, 200)
     faces = 1e3 * rod.vertices[rod.triangles]
@@ -307,7 +309,4 @@ def test_rendering_is_not_cut_at_the_edge_of_the_canvas() -> None:
 def test_history_draws_every_instrument() -> None:
     one = {f"a.force_{k}": [0, k, 0] for k in (1, 2, 3)} | {"a.depth": [0, 0.001, 0]}
     two = one | {name.replace("a.", "b."): values for name, values in one.items()}
-    assert (
-        pixels(history(trace(**two), ["a", "b"], "t")).shape[0]
-        > pixels(history(trace(**one), ["a"], "t")).shape[0]
-    )
+    assert pixels(history(trace(**two), ["a", "b"], "t")).shape[0] > pixels(history(trace(**one), ["a"], "t")).shape[0]

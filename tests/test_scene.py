@@ -9,6 +9,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 from scipy.spatial.transform import Rotation
+
 from tissue_contact import geometry, scene, shapes
 from tissue_contact.errors import InputError
 from tissue_contact.scene import Tissue, parse_scene, read_scene, scene_schema
@@ -293,9 +294,7 @@ def test_every_number_has_unit_range_and_description() -> None:
             branches = [field, *field.get("anyOf", []), field.get("items", {}), *field.get("prefixItems", [])]
             if any(b.get("type") in ("number", "integer") for b in branches):
                 assert "unit" in field and field["description"], f"{name}.{key}"
-                assert any("minimum" in b and "maximum" in b for b in branches) or "items" in field, (
-                    f"{name}.{key}"
-                )
+                assert any("minimum" in b and "maximum" in b for b in branches) or "items" in field, f"{name}.{key}"
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.parent.name)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from tissue_contact import geometry, shapes
 from tissue_contact.errors import InputError
 
@@ -194,9 +195,7 @@ def test_ellipsoid(radii, seed):
 def test_ellipsoid_converges_to_its_volume():
     full = 4 / 3 * np.pi * 0.06 * 0.04 * 0.03
     lack = [1 - geometry.volume(shapes.ellipsoid((0.06, 0.04, 0.03), n)) / full for n in (250, 1000, 4000)]
-    assert np.log(lack[0] / lack[2]) / np.log(16) == pytest.approx(
-        1, abs=0.15
-    )  # one over the number of triangles
+    assert np.log(lack[0] / lack[2]) / np.log(16) == pytest.approx(1, abs=0.15)  # one over the number of triangles
 
 
 @settings(max_examples=15, deadline=None)
@@ -268,9 +267,7 @@ def test_capsule_hardly_longer_than_a_sphere():
 
 def test_capsule_is_round_at_both_ends():
     surface = shapes.capsule(0.005, 0.05, 1000)
-    middle = np.column_stack(
-        [np.zeros((len(surface.vertices), 2)), np.clip(surface.vertices[:, 2], 0.005, 0.045)]
-    )
+    middle = np.column_stack([np.zeros((len(surface.vertices), 2)), np.clip(surface.vertices[:, 2], 0.005, 0.045)])
     assert np.linalg.norm(surface.vertices - middle, axis=1) == pytest.approx(0.005)
     assert surface.axes.tolist() == [[[0, 0, 0.005], [0, 0, 0.05]]]
     assert smallest_angle(surface) > 30

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from tissue_contact.errors import InputError
 from tissue_contact.scenarios.scenario import read_scenario, shipped_names
 from tissue_contact.scenarios.stimulus import (
@@ -72,9 +73,7 @@ def test_pokes_follow_each_other() -> None:
 
 
 def test_slide_goes_to_and_fro() -> None:
-    slide = Slide(
-        kind="slide", instrument="probe", start=[0, 0, 0], end=[0, 0.1, 0], stroke_time=1, strokes=2
-    )
+    slide = Slide(kind="slide", instrument="probe", start=[0, 0, 0], end=[0, 0.1, 0], stroke_time=1, strokes=2)
     y = place(slide, [0, 0.5, 1, 1.5, 2, 9])[:, 1]
     assert y == pytest.approx([0, 0.05, 0.1, 0.05, 0, 0])
 
@@ -151,9 +150,7 @@ def test_short_names_units_comments_and_separators(tmp_path: Path) -> None:
 
 
 def test_names_of_the_fmu_with_outputs_beside_them(tmp_path: Path) -> None:
-    names = [f"probe.position[{k}] [m]" for k in (1, 2, 3)] + [
-        f"probe.orientation[{k}] [1]" for k in (1, 2, 3, 4)
-    ]
+    names = [f"probe.position[{k}] [m]" for k in (1, 2, 3)] + [f"probe.orientation[{k}] [1]" for k in (1, 2, 3, 4)]
     text = ",".join(["time [s]", *names, "probe.force[1] [N]"]) + "\n0,1,2,3,1,0,0,0,9\n1,4,5,6,1,0,0,0,nan\n"
     found = read_recording(recording(tmp_path, text), "probe")
     assert found.position.tolist() == [[1, 2, 3], [4, 5, 6]]
@@ -303,6 +300,16 @@ def test_one_message_of_a_wrong_scenario(case: str, folder: Path) -> None:
     with pytest.raises(InputError) as caught:
         read_scenario(folder)
     assert [part for part in parts if part not in str(caught.value)] == [], str(caught.value)
+
+
+@pytest.mark.parametrize("word", ["press/../press", "../scenarios/press", "./press"])
+def test_a_shipped_scenario_is_meant_by_its_name_only(
+    word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="The nearest right spelling is press"):
+        read_scenario(word)
+    assert read_scenario("press").name == "press"
 
 
 @pytest.mark.parametrize("name", shipped_names())

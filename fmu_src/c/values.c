@@ -48,7 +48,7 @@ static fmi2Status check(Instance *instance, fmi2ValueReference reference, double
         return error(instance, "fmi2SetReal: %s is an output and cannot be set. Nothing was changed", name);
     if (!isfinite(value))
         return error(instance, "fmi2SetReal: %s = %g, it must be finite. Nothing was changed", name, value);
-    /* Inputs come from another simulator that may overshoot a little: the kernels clamp those. */
+    /* Inputs come from another simulator that may overshoot a little: only parameters are held to their range. */
     if (v->block == BLOCK_PARAMETERS && !(value >= v->minimum && value <= v->maximum))
         return error(instance, "fmi2SetReal: %s = %.17g lies outside [%g, %g]. Nothing was changed", name, value,
                      v->minimum, v->maximum);

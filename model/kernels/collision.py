@@ -6,7 +6,6 @@ All in the body frame of the instrument; points and vectors are tuples of three.
 import math
 
 from tissue_contact.kernels.compiled import inner, kernel
-
 from tissue_contact.kernels.tritri import alone
 from tissue_contact.kernels.vectors import dot
 

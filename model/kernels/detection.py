@@ -8,9 +8,8 @@ only the potentially colliding ones go to the exact triangle-triangle test. Cost
 first pass, one change of frame for every vertex.
 """
 
-from tissue_contact.kernels.compiled import inner
-
 from tissue_contact.kernels.collision import facing, pair_point
+from tissue_contact.kernels.compiled import inner
 from tissue_contact.kernels.tritri import INTERSECT, intersect
 from tissue_contact.kernels.vectors import cross, dot
 from tissue_contact.status import OK, TOO_MANY_PAIRS

@@ -8,7 +8,6 @@ product of the masses, which keeps linear and angular momentum whatever the numb
 import math
 
 from tissue_contact.kernels.compiled import inner
-
 from tissue_contact.kernels.springs import directions
 
 # Conjugate gradients stop when the residual has fallen by this factor: damping forces are then exact to well below
@@ -55,9 +54,7 @@ def _damp_product(first, last, s_first, s_last, i, j, damping, scale, ux, uy, uz
         q[2 * n + v] = 0.0
     for s in range(s_first, s_last):
         a, b = i[s], j[s]
-        rate = (
-            (p[b] - p[a]) * ux[s] + (p[n + b] - p[n + a]) * uy[s] + (p[2 * n + b] - p[2 * n + a]) * uz[s]
-        )
+        rate = (p[b] - p[a]) * ux[s] + (p[n + b] - p[n + a]) * uy[s] + (p[2 * n + b] - p[2 * n + a]) * uz[s]
         f = scale * damping[s] * rate
         q[a] -= f * ux[s]
         q[n + a] -= f * uy[s]

@@ -1,6 +1,7 @@
 """Force laws of a contact: free of branches, on plain numbers, so that they can be traced symbolically."""
 
 import numpy as np
+
 from tissue_contact.kernels.compiled import kernel
 
 

@@ -99,9 +99,7 @@ def side(a, b, c, d, expansion):
     zx, xz = uz * vx, ux * vz
     xy, yx = ux * vy, uy * vx
     determinant = (yz - zy) * wx + (zx - xz) * wy + (xy - yx) * wz
-    permanent = (
-        (abs(yz) + abs(zy)) * abs(wx) + (abs(zx) + abs(xz)) * abs(wy) + (abs(xy) + abs(yx)) * abs(wz)
-    )
+    permanent = (abs(yz) + abs(zy)) * abs(wx) + (abs(zx) + abs(xz)) * abs(wy) + (abs(xy) + abs(yx)) * abs(wz)
     if determinant > FILTER * permanent:
         return 1
     if -determinant > FILTER * permanent:

@@ -6,7 +6,6 @@ The entries `initialize` and `step` are what Python, the FMU and every study cal
 import math
 
 from tissue_contact.kernels.compiled import inner, kernel
-
 from tissue_contact.kernels.detection import detect
 from tissue_contact.kernels.integration import advance, damp_springs, drift, undamped_limit
 from tissue_contact.kernels.response import respond
@@ -92,13 +91,13 @@ def _check(parameters, inputs, scratch):
 
 
 @inner
-def stable_substep(model, parameters):
+def stable_substep(model, parameters, state):
     """Largest stable substep [s], over all the tissues.
 
     omega^2 is bounded by the springs' largest eigenvalue plus the support plus the contact stiffness, had one vertex
-    to bear it all. Where a contact is damped its stiffness counts twice: its damper, implicit by itself, is taken at
-    the velocity before the springs' kick, and the limit omega dt = sqrt(2 (2 + z) / (1 + z)) falls to sqrt(2) for
-    large z = dt c G.
+    to bear all of it for every part of the instrument, or what it bears now where pairs are not weighted. Where a
+    contact is damped its stiffness counts twice: its damper, implicit by itself, is taken at the velocity before the
+    springs' kick, and the limit omega dt = sqrt(2 (2 + z) / (1 + z)) falls to sqrt(2) for large z = dt c G.
     """
     limit = math.inf
     tissues = model.tissue_rate.size
@@ -109,18 +108,21 @@ def stable_substep(model, parameters):
         for k in range(model.contact_tissue.size):
             if model.contact_tissue[k] == n:
                 pair = TISSUE_PARAMETERS * tissues + CONTACT_PARAMETERS * k
+                i = model.contact_instrument[k]
+                parts = int(model.instrument_part_start[i + 1]) - int(model.instrument_part_start[i])
+                load = max(parts / model.tissue_node_area_min[n], state.touch_load[k])
                 count = 2.0 if parameters[pair + CONTACT_DAMPING] > 0.0 else 1.0
-                square += count * parameters[pair + CONTACT_STIFFNESS] / model.tissue_node_area_min[n]
+                square += count * parameters[pair + CONTACT_STIFFNESS] * load
         limit = min(limit, undamped_limit(square / density))
     return limit
 
 
 @inner
-def _substeps(model, parameters, h, scratch):
+def _substeps(model, parameters, state, h, scratch):
     """Number of substeps of a step h, 0 where the budget does not allow it."""
     if model.substeps_fixed[0] > 0:
         return int(model.substeps_fixed[0])
-    needed = math.ceil(h / (model.safety[0] * stable_substep(model, parameters)))
+    needed = math.ceil(h / (model.safety[0] * stable_substep(model, parameters, state)))
     if not needed <= model.substeps_max[0]:
         scratch.detail[0], scratch.detail[1] = needed, model.substeps_max[0]
         return 0
@@ -176,9 +178,7 @@ def _respond_all(model, parameters, state, scratch, elapsed, dt):
             i = model.contact_instrument[k]
             r, p = _pose(state, scratch, i, elapsed)
             m = scratch.motion[6 * i : 6 * i + 6]
-            stored += respond(
-                model, parameters, state, scratch, k, r, p, (m[0], m[1], m[2]), (m[3], m[4], m[5]), dt
-            )
+            stored += respond(model, parameters, state, scratch, k, r, p, (m[0], m[1], m[2]), (m[3], m[4], m[5]), dt)
     return stored
 
 
@@ -401,7 +401,7 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
     if h == 0.0:
         _give(model, parameters, state, scratch, 0.0, 0.0, outputs)
         return OK
-    substeps = _substeps(model, parameters, h, scratch)
+    substeps = _substeps(model, parameters, state, h, scratch)
     if substeps == 0:
         return SUBSTEP_BUDGET
     for i in range(state.pose.size // POSE):

@@ -29,11 +29,7 @@ def _gather(model, state, scratch, contact, first, r):
         nn = dot(normal, normal)
         length, wa, wb, wc = 0.0, 0.0, 0.0, 0.0
         plain_a, plain_b, plain_c, pairs = 0.0, 0.0, 0.0, 0.0
-        while (
-            k < last
-            and scratch.pair_triangle[k] == t
-            and model.instrument_part[scratch.pair_instrument[k]] == part
-        ):
+        while k < last and scratch.pair_triangle[k] == t and model.instrument_part[scratch.pair_instrument[k]] == part:
             w, piece = pair_point(model, scratch.pair_instrument[k], t1, e1, e2, normal, nn)
             length += piece
             wa += piece * w[0]
@@ -88,7 +84,7 @@ def _share(model, state, scratch, contact, first, n):
 
 @inner
 def _load(model, state, scratch, contact, first, n):
-    """Find the largest share of the force that a vertex takes, over its area: W_i / A_i, W_i the sum of shares there."""
+    """Find the largest of W_i / A_i, W_i the share of the force that vertex i takes, A_i its area."""
     share = scratch.vertex_share
     for m in range(first, first + n):
         t = state.touch_triangle[m]

@@ -7,7 +7,6 @@ the intervals overlap.
 """
 
 from tissue_contact.kernels.compiled import inner, kernel
-
 from tissue_contact.kernels.predicates import side
 
 DISJOINT = 0

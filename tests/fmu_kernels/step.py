@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 from numba import njit
+
 from tissue_contact.kernels.layout import State, blocks
 
 # The first field of whole numbers, whatever it is called, counts the steps.

@@ -1,0 +1,78 @@
+# `make` lists what there is. Everything is made below .venv and build.
+
+PYTHON ?= python3
+BIN := .venv/bin
+STAMP := .venv/installed
+WORKERS ?= 2
+SOURCES := $(wildcard model/*.py model/kernels/*.py fmu_src/*.py fmu_src/c/* scenarios/*.py)
+MODERN := import sys; sys.exit(sys.version_info < (3, 11))
+
+# Scripts of an environment name the folder that it was made in: moved, copied or without its Python it is of no use.
+USABLE := $(shell grep -qF '$(CURDIR)/.venv' .venv/pyvenv.cfg 2>/dev/null \
+	&& $(BIN)/python -c '$(MODERN)' 2>/dev/null && echo yes)
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help demo test lint bench check importers cross warm-up lock clean new-environment
+
+help: ## list what make can do
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1 - /p' Makefile | awk -F ' - ' '{ printf "%-18s%s\n", $$1, $$2 }'
+
+demo: build/press.fmu ## build the FMU of scenarios/press for every platform and run the scenario
+	$(BIN)/tissue-contact run press -o build/press
+	@echo
+	@echo "FMU for every platform     build/press.fmu"
+	@echo "values over time           build/press/press.csv"
+	@echo "force and depth over time  build/press/press.png"
+	@echo "tissue at the peak force   build/press/press-peak.png"
+	@echo "Next: $(BIN)/tissue-contact --help"
+
+test: warm-up ## run the tests and the checks of the source
+	$(BIN)/python -m pytest -n $(WORKERS)
+	@$(MAKE) --no-print-directory lint
+
+# Import rules and types are checked on a copy laid out as installed: the three folders are one package.
+lint: $(STAMP) ## check style, types and which part may import which
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	@rm -rf build/layout && mkdir -p build/layout && cp -R model build/layout/tissue_contact
+	@cp -R fmu_src build/layout/tissue_contact/fmu && cp -R scenarios build/layout/tissue_contact/scenarios
+	PYTHONPATH=build/layout $(BIN)/lint-imports --no-cache
+	$(BIN)/mypy build/layout/tissue_contact
+
+bench: $(STAMP) ## measure a step inside the FMU, into build/bench.json
+	@mkdir -p build
+	$(BIN)/python -m tissue_contact.scenarios.bench --output build/bench.json
+
+check: build/press.fmu ## check build/press.fmu against the standard
+	$(BIN)/tissue-contact check build/press.fmu
+
+importers: warm-up ## run the FMU as foreign importers do: win64 under wine, aarch64 under qemu
+	$(BIN)/python -m pytest -n $(WORKERS) -m "wine or qemu" -rs
+
+cross: warm-up ## the same over the whole press scenario only
+	$(BIN)/python -m pytest -m "wine or qemu" -rs tests/test_cross.py
+
+# Tests that run side by side would compile the same kernels side by side.
+warm-up: $(STAMP)
+	$(BIN)/python tests/warm_up.py
+
+build/press.fmu: $(STAMP) scenarios/press/scene.toml $(SOURCES)
+	@mkdir -p build
+	$(BIN)/tissue-contact build scenarios/press/scene.toml -o $@
+
+lock: $(STAMP) ## pin every dependency anew, with hashes
+	$(BIN)/pip-compile --quiet --upgrade --output-file requirements.lock pyproject.toml
+
+clean: ## remove what was built; the environment stays
+	rm -rf build .pytest_cache .ruff_cache .mypy_cache .import_linter_cache .hypothesis
+
+$(STAMP): requirements.lock pyproject.toml $(if $(USABLE),,new-environment)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	@# setuptools warns of every editable installation
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+new-environment:
+	@$(PYTHON) -c '$(MODERN)' || { echo "Python 3.11 or newer is needed: make PYTHON=python3.12" >&2; exit 1; }
+	$(PYTHON) -m venv --clear '$(CURDIR)/.venv'
