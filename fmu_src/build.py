@@ -72,7 +72,7 @@ def build(
     if picture is not None:
         entries["model.png"] = picture
     for target in targets:
-        content = compile.library(target.platform, kernels, progress)
+        content = compile.shared_library(target.platform, kernels, progress)
         entries[f"binaries/{target.platform}/{identifier}{target.suffix}"] = content
     progress(f"writing {output}")
     archive.write(output, entries)

@@ -337,7 +337,7 @@ def target(platform: str) -> Target:
     return TARGETS[platform]
 
 
-def library(platform: str, kernels: Path = STEP_KERNELS, progress: Progress = lambda _: None) -> bytes:
+def shared_library(platform: str, kernels: Path = STEP_KERNELS, progress: Progress = lambda _: None) -> bytes:
     """Shared library of a platform, from the cache or compiled now.
 
     ``kernels`` is the Python file that holds ``initialize`` and ``step``.

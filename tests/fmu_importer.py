@@ -41,12 +41,12 @@ class Unpacked:
         root = etree.parse(self.directory / "modelDescription.xml").getroot()
         self.guid = root.get("guid")
         (library,) = (self.directory / "binaries").glob("*/*")
-        self.library = ctypes.CDLL(str(library))
-        self.library.fmi2Instantiate.restype = c_void_p
-        self.library.fmi2FreeInstance.restype = None
-        self.library.fmi2FreeInstance.argtypes = [c_void_p]
-        self.library.fmi2GetVersion.restype = c_char_p
-        self.library.fmi2GetTypesPlatform.restype = c_char_p
+        self.native = ctypes.CDLL(str(library))
+        self.native.fmi2Instantiate.restype = c_void_p
+        self.native.fmi2FreeInstance.restype = None
+        self.native.fmi2FreeInstance.argtypes = [c_void_p]
+        self.native.fmi2GetVersion.restype = c_char_p
+        self.native.fmi2GetTypesPlatform.restype = c_char_p
 
     @property
     def location(self):
@@ -59,10 +59,10 @@ class Instance:
 
     def __init__(self, fmu, name="one", guid=None, location="", logging_on=False, logger=True, kind=1):
         """``location`` is the resources as bytes or None; by default the right URI."""
-        self.fmu, self.library, self.messages = fmu, fmu.library, []
+        self.fmu, self.native, self.messages = fmu, fmu.native, []
         self._log = LOGGER(lambda *a: self.messages.append(a)) if logger else LOGGER()
         callbacks = Callbacks(logger=self._log, componentEnvironment=ENVIRONMENT)
-        self.c = self.library.fmi2Instantiate(
+        self.c = self.native.fmi2Instantiate(
             None if name is None else name.encode(),
             c_int(kind),
             (guid or fmu.guid).encode(),
@@ -81,10 +81,10 @@ class Instance:
 
     def call(self, name, *arguments):
         """Call a function with ctypes arguments after the instance."""
-        return getattr(self.library, name)(c_void_p(self.c), *arguments)
+        return getattr(self.native, name)(c_void_p(self.c), *arguments)
 
     def free(self):
-        self.library.fmi2FreeInstance(self.c)
+        self.native.fmi2FreeInstance(self.c)
         self.c = None
 
     def debug(self, on, *categories):

@@ -148,7 +148,7 @@ def test_absent_function_refuses_everywhere(fmu, function, mode):
 
 @pytest.mark.parametrize("function", [*TABLE, *ABSENT])
 def test_null_instance_is_an_error(fmu, function):
-    call = getattr(fmu.library, function)
+    call = getattr(fmu.native, function)
     assert call(None, *[c_size_t(0)] * 8) == ERROR
 
 
@@ -161,12 +161,12 @@ def test_every_function_is_in_a_table_of_these_tests():
 
 
 def test_version_and_platform(fmu):
-    assert fmu.library.fmi2GetVersion() == b"2.0"
-    assert fmu.library.fmi2GetTypesPlatform() == b"default"
+    assert fmu.native.fmi2GetVersion() == b"2.0"
+    assert fmu.native.fmi2GetTypesPlatform() == b"default"
 
 
 def test_free_of_null_is_nothing(fmu):
-    fmu.library.fmi2FreeInstance(None)
+    fmu.native.fmi2FreeInstance(None)
 
 
 # --- values -------------------------------------------------------------------------------------------------
@@ -442,7 +442,7 @@ def test_model_exchange_is_refused(fmu):
 
 def test_no_callbacks_is_no_crash(fmu):
     args = (b"one", c_int(1), fmu.guid.encode(), fmu.location.encode(), None, c_int(0), c_int(0))
-    assert fmu.library.fmi2Instantiate(*args) is None
+    assert fmu.native.fmi2Instantiate(*args) is None
 
 
 def test_instances_do_not_touch_each_other(fmu):
