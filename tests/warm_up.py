@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from tissue_contact.assemble import assemble
-from tissue_contact.fmu.compile import library
+from tissue_contact.fmu.compile import shared_library
 from tissue_contact.fmu.native import host_platform
 from tissue_contact.scene import parse_scene
 from tissue_contact.simulate import Instance
@@ -26,7 +26,7 @@ stiffness = 100.0
 def main() -> None:
     """Numba compiles for the FMU in a process of its own, so that a thread is enough to wait for it."""
     with ThreadPoolExecutor(1) as pool:
-        native = pool.submit(library, host_platform(), progress=lambda text: print(text, file=sys.stderr))
+        native = pool.submit(shared_library, host_platform(), progress=lambda text: print(text, file=sys.stderr))
         instance = Instance(assemble(parse_scene(SCENE, Path())))
         instance.initialize()
         instance.step(1e-3)
