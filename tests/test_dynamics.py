@@ -336,3 +336,16 @@ def test_an_unnormalised_quaternion_is_normalised():
     turn = np.array([0.9, 0.1, -0.2, 0.3])
     plain = settled(assembly, [0, 0, -0.001, *(turn / np.linalg.norm(turn))]).outputs
     assert settled(assembly, [0, 0, -0.001, *(1000 * turn)]).outputs == pytest.approx(plain, rel=1e-9, abs=1e-12)
+
+
+def test_a_quaternion_and_its_negative_are_one_orientation():
+    """A tracker may change the sign from one sample to the next: that is no turn by 360 degrees."""
+    assembly = assembled(PRESS)
+    outputs = []
+    for sign in (1.0, -1.0):
+        instance = settled(assembly, [0, 0, -0.001, 0.9, 0.1, -0.2, 0.3])
+        instance.inputs[:] = [0.0005, 0, -0.001, *(sign * np.array([0.88, 0.12, -0.2, 0.32]))]
+        instance.step(1e-3)
+        outputs.append(instance.outputs.copy())
+    assert outputs[0][index(assembly, "instrument.force[3]")] > 0.01
+    assert outputs[1] == pytest.approx(outputs[0], rel=1e-9, abs=1e-12)
