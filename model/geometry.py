@@ -5,7 +5,7 @@ The only module that knows trimesh. Everything after `read` is plain numpy, in m
 
 import difflib
 from dataclasses import dataclass, field
-from itertools import permutations, product
+from itertools import combinations, permutations, product
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -771,3 +771,49 @@ def convex_hull(surface: Surface, part: int) -> Hull:
     return Hull(
         points[used], np.split(ends[:, 1].astype(np.int32), np.searchsorted(ends[:, 0], np.arange(1, len(used))))
     )
+
+
+# Axes of the slabs of a k-DOP: 3 axes, 4 diagonals of the cube, 6 of its faces; the first k / 2 are taken.
+SLABS = np.array(
+    [(1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    + [(1, 1, 1), (1, 1, -1), (1, -1, 1), (-1, 1, 1)]
+    + [(1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1)],
+    np.float64,
+)
+SLABS /= np.linalg.norm(SLABS, axis=1, keepdims=True)
+CORNER_SAME = 1e-10  # [m] corners nearer than this are one: far above rounding, far below what matters
+
+
+def kdop(points: ArrayLike, k: Literal[6, 14, 26]) -> Hull:
+    """The k-DOP of points: what k / 2 slabs of fixed directions leave, each just wide enough for all the points.
+
+    Its support is that of the points along the slabs and never less elsewhere; the more slabs, the nearer.
+
+    Parameters
+    ----------
+    points : array of shape (n, 3)
+        [m]
+    k : 6, 14 or 26
+        Faces: of the box along x, y, z; cut along the diagonals of the cube; along those of its faces too.
+
+    """
+    along = np.asarray(points, np.float64).reshape(-1, 3) @ SLABS[: k // 2].T
+    face = np.concatenate([SLABS[: k // 2], -SLABS[: k // 2]])
+    offset = np.concatenate([along.max(axis=0), -along.min(axis=0)])
+    # Every corner is where three faces meet, beyond none of the others; every edge lies in two faces.
+    three = np.array(list(combinations(range(k), 3)))
+    three = three[np.abs(np.linalg.det(face[three])) > 1e-6]
+    corners = np.linalg.solve(face[three], offset[three][..., None])[..., 0]
+    corners = corners[(corners @ face.T <= offset + 0.01 * CORNER_SAME).all(axis=1)]
+    corners = corners[np.unique(_near_vertices(corners, np.arange(len(corners)), CORNER_SAME))]
+    within = (np.abs(corners @ face.T - offset) <= 3 * CORNER_SAME).astype(np.int32)
+    joined = within @ within.T >= 2
+    np.fill_diagonal(joined, False)
+    return Hull(corners, [np.flatnonzero(row).astype(np.int32) for row in joined])
+
+
+def box_hull(centre: ArrayLike, axes: ArrayLike, half: ArrayLike) -> Hull:
+    """The hull of a box: centre [m], unit vectors of its axes in rows, half extents along them [m]."""
+    sign = np.array(list(product((-1.0, 1.0), repeat=3)))
+    number = np.arange(8, dtype=np.int32)
+    return Hull(centre + sign * half @ np.asarray(axes), list(np.stack([number ^ 1, number ^ 2, number ^ 4], axis=1)))
