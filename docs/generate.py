@@ -45,6 +45,7 @@ SCENARIO_TABLES: tuple[tuple[str, type[Settings]], ...] = (
     ("`[[expect]]`", scenario.Expectation),
 )
 STIMULI = (
+    stimulus.Still,
     stimulus.Press,
     stimulus.Poke,
     stimulus.Slide,
@@ -141,7 +142,8 @@ def scenario_page() -> str:
     )
     tables = "".join(keys(settings, heading) for heading, settings in SCENARIO_TABLES)
     kinds = "".join(keys(settings, _kind(settings), 3) for settings in STIMULI)
-    parts = keys(stimulus.Waypoint, "`waypoint`", 3) + keys(stimulus.Tremor, "`tremor`", 3)
+    named = (("`waypoint`", stimulus.Waypoint), ("`jaw`", stimulus.JawMoment), ("`tremor`", stimulus.Tremor))
+    parts = "".join(keys(settings, heading, 3) for heading, settings in named)
     return f"{head}{tables}\n## `[[stimulus]]`\n\nWhat moves one instrument.\n{kinds}{parts}"
 
 

@@ -6,7 +6,7 @@ from typing import Any, Literal
 from pydantic import Field, PrivateAttr, model_validator
 
 from tissue_contact.errors import InputError
-from tissue_contact.scenarios.stimulus import Declared, Stimulus
+from tissue_contact.scenarios.stimulus import Declared, Still, Stimulus, no_jaws
 from tissue_contact.scene import Scene, read_scene
 from tissue_contact.settings import Settings, broken, nearest, quantity, read_toml, show, validate
 
@@ -119,10 +119,12 @@ def read_scenario(word: str | Path) -> Scenario:
     scenario._name = path.resolve().parent.name if path.name == FILE else path.stem
     scenario._place = str(path)
     scenario._scene = read_scene(path.parent / scenario.scene_file)
-    names = [i.name for i in scenario.scene.instrument]
+    instruments = {i.name: i for i in scenario.scene.instrument}
+    names = list(instruments)
     paths: list[Any] = []
     for i, declared in enumerate(scenario.declared):
-        here = f"{path}, stimulus[{i}].instrument"
+        place = f"{path}, stimulus[{i}]"
+        here = f"{place}.instrument"
         word = declared.instrument
         if not word and len(names) != 1:
             way_out = f"Name one of {', '.join(names)}" if names else "Declare an [[instrument]] in the scene"
@@ -133,6 +135,11 @@ def read_scenario(word: str | Path) -> Scenario:
         if chosen in [p.instrument for p in paths]:
             rule = "an instrument may have one stimulus only"
             raise InputError(here, rule, show(chosen), "Remove one, or join them as waypoints")
+        if declared.jaw and instruments[chosen].grasp is None:
+            raise no_jaws(f"{place}.jaw", chosen, "the key")
         paths.append(declared.model_copy(update={"instrument": chosen}))
-    scenario._stimulus = Stimulus(tuple(paths), path.parent)
+        if isinstance(declared, Still):
+            paths[-1]._start = (instruments[chosen].start_position, instruments[chosen].start_orientation)
+    graspers = frozenset(name for name, instrument in instruments.items() if instrument.grasp is not None)
+    scenario._stimulus = Stimulus(tuple(paths), path.parent, graspers)
     return scenario

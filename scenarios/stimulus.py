@@ -1,23 +1,24 @@
-"""What moves an instrument: a recorded or a generated path of its pose, over time.
+"""What moves an instrument: a recorded or a generated path of its pose, and the course of its jaws, over time.
 
 Positions are of the origin of the instrument's body frame in the world [m], orientations unit quaternions
-w, x, y, z from body to world. Before its first moment a path stands at its first pose, after its last at its
-last.
+w, x, y, z from body to world, jaws 0 closed to 1 open. Before its first moment a path stands at its first pose,
+after its last at its last; so do the jaws.
 """
 
 import csv
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from tissue_contact.errors import InputError
-from tissue_contact.scene import IDENTITY, Point, Quaternion
+from tissue_contact.scene import IDENTITY, ORIGIN, Point, Quaternion
 from tissue_contact.settings import Settings, broken, items, nearest, quantity
 
 FloatArray = NDArray[np.float64]
@@ -37,11 +38,13 @@ class Poses:
     ----------
     position : float64 [m], shape (n, 3)
     orientation : float64, unit quaternions w, x, y, z, shape (n, 4)
+    jaw : float64, 0 closed to 1 open, shape (n,), None where nothing moves the jaws
 
     """
 
     position: FloatArray
     orientation: FloatArray
+    jaw: FloatArray | None = None
 
 
 def minimum_jerk(u: FloatArray) -> FloatArray:
@@ -99,9 +102,48 @@ class Tremor(Settings):
         return np.asarray(self.amplitude * np.sqrt(2 / TREMOR_WAVES) * waves)
 
 
+class JawMoment(Settings):
+    """An opening of the jaws at a time."""
+
+    time: float = _seconds("when the opening is reached", low=0)
+    value: float = quantity("1", 0, 1, "opening of the jaws, 0 closed to 1 open")
+
+
 class _Path(Settings):
     instrument: str = Field("", description="instrument that moves; without it the only one")
     tremor: Tremor | None = Field(None, description="noise on top of the path")
+    jaw: tuple[JawMoment, ...] = Field(
+        (), strict=False, description="course of the jaws, linear between its moments; without it they stay open"
+    )
+
+    @model_validator(mode="after")
+    def _jaw_in_order(self) -> "_Path":
+        _follow_in_time(self.jaw, "jaw", "the moments of the jaws")
+        return self
+
+
+class _Timed(Protocol):
+    @property
+    def time(self) -> float: ...
+
+
+def _follow_in_time(moments: Sequence[_Timed], key: str, what: str) -> None:
+    """Refuse moments of which one is not later than the one before."""
+    for i, (before, moment) in enumerate(pairwise(moments), 1):
+        if moment.time <= before.time:
+            rule = f"{what} must follow in time; the one before is at {before.time:g} s"
+            raise broken((key, i, "time"), rule, moment.time, "Order them, each later")
+
+
+class Still(_Path):
+    """No movement: the instrument stays where the scene puts it."""
+
+    kind: Literal["still"]
+    _start: tuple[tuple[float, ...], tuple[float, ...]] = PrivateAttr((ORIGIN, IDENTITY))
+
+    def _path(self, times: FloatArray, folder: Path) -> Poses:
+        position, orientation = self._start
+        return Poses(np.tile(position, (len(times), 1)), np.tile(orientation, (len(times), 1)))
 
 
 class _Turned(_Path):
@@ -247,10 +289,7 @@ class Waypoints(_Path):
 
     @model_validator(mode="after")
     def _in_order(self) -> "Waypoints":
-        for i in range(1, len(self.waypoint)):
-            if self.waypoint[i].time <= self.waypoint[i - 1].time:
-                rule = f"waypoints must follow in time; the one before is at {self.waypoint[i - 1].time:g} s"
-                raise broken(("waypoint", i, "time"), rule, self.waypoint[i].time, "Order them, each later")
+        _follow_in_time(self.waypoint, "waypoint", "waypoints")
         return self
 
     def _path(self, times: FloatArray, folder: Path) -> Poses:
@@ -264,7 +303,10 @@ class Waypoints(_Path):
 
 
 class Recording(_Path):
-    """A recorded path from a CSV file, linear between its moments (orientation by slerp), gaps included."""
+    """A recorded path from a CSV file, linear between its moments (orientation by slerp), gaps included.
+
+    A column `jaw` is the course of the jaws.
+    """
 
     kind: Literal["recording"]
     file: str = Field(min_length=1, description="CSV file, relative to the scenario file")
@@ -275,7 +317,13 @@ class Recording(_Path):
     def _path(self, times: FloatArray, folder: Path) -> Poses:
         recorded = read_recording(folder / self.file, self.instrument)
         stamp = recorded.time - (recorded.time[0] if self.begin is None else self.begin)
-        return _between(stamp, recorded.position, recorded.orientation, times, lambda u: u)
+        poses = _between(stamp, recorded.position, recorded.orientation, times, lambda u: u)
+        if recorded.jaw is None:
+            return poses
+        if self.jaw:
+            rule, way_out = "the jaws must have one course only", "Remove jaw from the stimulus, or the column"
+            raise InputError(str(folder / self.file), rule, "jaw in the stimulus and in the recording", way_out)
+        return replace(poses, jaw=np.interp(times, stamp, recorded.jaw))
 
 
 def _between(stamp: FloatArray, position: FloatArray, orientation: FloatArray, times: FloatArray, ease: Any) -> Poses:
@@ -298,6 +346,7 @@ class Recorded:
     time : float64 [s], shape (n,), ascending
     position : float64 [m], shape (n, 3)
     orientation : float64, unit quaternions w, x, y, z, shape (n, 4)
+    jaw : float64, 0 closed to 1 open, shape (n,), None without that column
     gap, gap_time : float [s]
         The longest time without a pose, and when it begins, counted from the first pose.
 
@@ -306,6 +355,7 @@ class Recorded:
     time: FloatArray
     position: FloatArray
     orientation: FloatArray
+    jaw: FloatArray | None
     gap: float
     gap_time: float
 
@@ -314,8 +364,8 @@ def read_recording(path: Path, instrument: str) -> Recorded:
     """Read a recorded path of `instrument`.
 
     The header names the columns, each with its unit in brackets or none for SI: `time [s]`,
-    `NAME.position[1] [m]` to `[3]`, `NAME.orientation[1]` to `[4]`, or for short
-    `time, x, y, z, qw, qx, qy, qz`. Without any orientation column the orientation is 1, 0, 0, 0; other
+    `NAME.position[1] [m]` to `[3]`, `NAME.orientation[1]` to `[4]`, `NAME.jaw`, or for short
+    `time, x, y, z, qw, qx, qy, qz, jaw`. Without any orientation column the orientation is 1, 0, 0, 0; other
     columns are not read. Separators are commas, semicolons or tabs; empty lines and lines that begin with #
     are skipped.
 
@@ -323,7 +373,7 @@ def read_recording(path: Path, instrument: str) -> Recorded:
     ------
     InputError
         With file and line: a missing column, an unknown unit, a value that is no finite number, time that
-        does not grow, a quaternion without a norm.
+        does not grow, a quaternion without a norm, jaws opened beyond 0 to 1.
 
     """
     if not path.is_file():
@@ -340,7 +390,7 @@ def read_recording(path: Path, instrument: str) -> Recorded:
         raise InputError(str(path), "a recording must have a header and a pose", f"{len(lines)} lines", way_out)
     separator = max(",;\t", key=lines[0][1].count)
     rows = list(csv.reader((line for _, line in lines), delimiter=separator))
-    columns, factors = _columns(f"{path}:{lines[0][0]}", rows[0], instrument)
+    names, columns, factors = _columns(f"{path}:{lines[0][0]}", rows[0], instrument)
     values = np.empty((len(rows) - 1, len(columns)))
     for i, row in enumerate(rows[1:]):
         place = f"{path}:{lines[i + 1][0]}"
@@ -361,19 +411,27 @@ def read_recording(path: Path, instrument: str) -> Recorded:
         found = f"{time[i + 1]:.9g} s after {time[i]:.9g} s"
         raise InputError(f"{path}:{lines[i + 2][0]}", f"time {what}", found, "Remove or sort the lines")
     orientation = np.tile(IDENTITY, (len(values), 1))
-    if values.shape[1] == 8:
-        norm = np.linalg.norm(values[:, 4:], axis=1)
+    if len(names) >= 8:
+        norm = np.linalg.norm(values[:, 4:8], axis=1)
         for i in np.flatnonzero(norm < 1e-6)[:1]:
             place, rule = f"{path}:{lines[i + 1][0]}", "a quaternion w, x, y, z must have a norm above 1e-6"
-            raise InputError(place, rule, values[i, 4:].tolist(), "Mend or remove the line")
-        orientation = values[:, 4:] / norm[:, None]
+            raise InputError(place, rule, values[i, 4:8].tolist(), "Mend or remove the line")
+        orientation = values[:, 4:8] / norm[:, None]
+    jaw = values[:, -1] if names[-1] in _jaw_names(instrument) else None
+    for i in np.flatnonzero((jaw < 0) | (jaw > 1))[:1] if jaw is not None else ():
+        place, rule = f"{path}:{lines[i + 1][0]}", f"column {names[-1]} must lie between 0, closed, and 1, open"
+        raise InputError(place, rule, values[i, -1], "Mend or remove the line")
     widest = int(np.argmax(step)) if len(step) else 0
     gap, gap_time = (float(step[widest]), float(time[widest] - time[0])) if len(step) else (0.0, 0.0)
-    return Recorded(time, values[:, 1:4], orientation, gap, gap_time)
+    return Recorded(time, values[:, 1:4], orientation, jaw, gap, gap_time)
 
 
-def _columns(place: str, header: Sequence[str], instrument: str) -> tuple[list[int], FloatArray]:
-    """Where time, position and perhaps orientation stand, and the factor of each into SI."""
+def _jaw_names(instrument: str) -> tuple[str, str]:
+    return f"{instrument}.jaw", "jaw"
+
+
+def _columns(place: str, header: Sequence[str], instrument: str) -> tuple[list[str], list[int], FloatArray]:
+    """Names of the columns of time, position, perhaps orientation and jaw; where they stand; their factors into SI."""
     found: dict[str, tuple[int, str]] = {}
     for i, title in enumerate(header):
         # A unit stands in brackets after a space or is no mere number: position[1] has no unit, x[mm] has.
@@ -388,8 +446,9 @@ def _columns(place: str, header: Sequence[str], instrument: str) -> tuple[list[i
     wanted = long if any(name in found for name in long) or "x" not in found else short
     if not any(name in found for name in wanted[3:]):
         wanted = wanted[:3]
+    names = ["time", *wanted, *[name for name in _jaw_names(instrument) if name in found][:1]]
     columns, factors = [], []
-    for name in ["time", *wanted]:
+    for name in names:
         if name not in found:
             rule, way_out = f"a recording must have a column {name}", nearest(name, found, what="columns")
             raise InputError(place, rule, "none of that name", way_out.replace("right spelling", "column"))
@@ -400,12 +459,18 @@ def _columns(place: str, header: Sequence[str], instrument: str) -> tuple[list[i
             raise InputError(place, rule, f"[{unit}]", "Convert the column")
         columns.append(column)
         factors.append(units[unit] if unit else 1.0)
-    return columns, np.array(factors)
+    return names, columns, np.array(factors)
 
 
 # --- all instruments --------------------------------------------------------------------------------------
 
-Declared = Annotated[Press | Slide | Poke | Circle | Waypoints | Recording, Field(discriminator="kind")]
+Declared = Annotated[Still | Press | Slide | Poke | Circle | Waypoints | Recording, Field(discriminator="kind")]
+
+
+def no_jaws(place: str, instrument: str, what: str) -> InputError:
+    """The error for a course of jaws that the instrument does not have; `what` is to be removed."""
+    way_out = f"Give the instrument a grasp in the scene, or remove {what}"
+    return InputError(place, "only an instrument with a grasp has jaws to move", f"{instrument} without", way_out)
 
 
 @dataclass(frozen=True)
@@ -416,19 +481,26 @@ class Stimulus:
     ----------
     paths : one of the declared kinds for each instrument, `instrument` filled in
     folder : where relative file names begin
+    graspers : names of the instruments that have jaws
 
     """
 
     paths: tuple[Declared, ...]
     folder: Path
+    graspers: frozenset[str] = frozenset()
 
     def poses(self, times: FloatArray) -> dict[str, Poses]:
-        """Pose of every moving instrument at `times` [s], shape (n,)."""
+        """Pose of every instrument that has a path at `times` [s], shape (n,)."""
         found = {}
         for path in self.paths:
             poses = path._path(times, self.folder)
+            if isinstance(path, Recording) and poses.jaw is not None and path.instrument not in self.graspers:
+                raise no_jaws(str(self.folder / path.file), path.instrument, "the column of the jaw")
             if path.tremor is not None:
-                poses = Poses(poses.position + path.tremor.shift(times), poses.orientation)
+                poses = replace(poses, position=poses.position + path.tremor.shift(times))
+            if path.jaw:
+                opening = np.interp(times, [m.time for m in path.jaw], [m.value for m in path.jaw])
+                poses = replace(poses, jaw=opening)
             found[path.instrument] = poses
         return found
 
@@ -438,7 +510,7 @@ class Stimulus:
         Raises
         ------
         InputError
-            A recording that cannot be read.
+            A recording that cannot be read, or that moves jaws which the instrument does not have.
 
         """
         found = {}
@@ -447,6 +519,8 @@ class Stimulus:
                 found[f"{name}.position[{k + 1}]"] = poses.position[:, k].copy()
             for k in range(4):
                 found[f"{name}.orientation[{k + 1}]"] = poses.orientation[:, k].copy()
+            if poses.jaw is not None:
+                found[f"{name}.jaw"] = poses.jaw
         return found
 
     def remarks(self) -> list[str]:

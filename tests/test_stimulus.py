@@ -1,6 +1,7 @@
-"""Stimuli: generated paths against closed forms, recordings against hand-made files."""
+"""Stimuli: generated paths against closed forms, jaws, recordings against hand-made files."""
 
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -9,10 +10,12 @@ from tissue_contact.errors import InputError
 from tissue_contact.scenarios.scenario import read_scenario, shipped_names
 from tissue_contact.scenarios.stimulus import (
     Circle,
+    Declared,
     Poke,
     Press,
     Recording,
     Slide,
+    Still,
     Stimulus,
     Tremor,
     Waypoints,
@@ -30,6 +33,11 @@ stiffness = 200.0
 [[instrument]]
 name = "probe"
 shape = { kind = "sphere", radius = 0.0025, triangles = 100 }
+"""
+GRASP = """\
+grasp = { radius = 0.002, stiffness = 100.0, slip_force = 1.0 }
+[[contact]]
+stiffness_per_area = 1e6
 """
 HALF = np.sqrt(0.5)
 
@@ -130,6 +138,127 @@ def test_tremor_comes_on_top() -> None:
     shaky = plain.model_copy(update={"tremor": Tremor(amplitude=0.001)})
     t = np.linspace(0, 1, 11)
     assert place(shaky, t) - place(plain, t) == pytest.approx(Tremor(amplitude=0.001).shift(t))
+
+
+# --- jaws -------------------------------------------------------------------------------------------------
+
+COURSE = [{"time": 1.0, "value": 1.0}, {"time": 1.5, "value": 0.0}, {"time": 3.0, "value": 0.5}]
+
+
+def test_jaws_are_linear_between_moments_and_held_outside() -> None:
+    slide = Slide(kind="slide", instrument="probe", start=[0, 0, 0], end=[0, 0.1, 0], stroke_time=1, jaw=COURSE)
+    found = sampled(slide, [0, 1, 1.25, 1.5, 2.25, 3, 9])
+    assert found["probe.jaw"] == pytest.approx([1, 1, 0.5, 0, 0.25, 0.5, 0.5])
+    assert found["probe.position[2]"][-1] == pytest.approx(0.1)
+
+
+def test_without_a_course_the_jaws_are_not_touched() -> None:
+    slide = Slide(kind="slide", instrument="probe", start=[0, 0, 0], end=[0, 0.1, 0], stroke_time=1)
+    assert "probe.jaw" not in sampled(slide, [0, 1])
+    assert Stimulus((), Path()).sample(np.zeros(1)) == {}
+
+
+def test_every_kind_may_have_jaws(folder: Path) -> None:
+    (folder / "scene.toml").write_text(SCENE + GRASP)
+    (folder / "pose.csv").write_text("time,x,y,z\n0,1,2,3\n")
+    kinds = {
+        "still": "",
+        "press": "point = [0, 0, 0]\ndepth = 0.1\npress_time = 0.2\n",
+        "poke": "point = [0, 0, 0]\ndepth = 0.1\nduration = 0.2\n",
+        "slide": "start = [0, 0, 0]\nend = [0, 0.1, 0]\nstroke_time = 1.0\n",
+        "circle": "centre = [0, 0, 0]\nradius = 0.1\nperiod = 0.2\n",
+        "waypoints": "waypoint = [{ time = 0.0, position = [0, 0, 0] }]\n",
+        "recording": 'file = "pose.csv"\n',
+    }
+    assert set(kinds) == {path.model_fields["kind"].annotation.__args__[0] for path in get_args(get_args(Declared)[0])}
+    for kind, keys in kinds.items():
+        jaw = "jaw = [{ time = 0.0, value = 1.0 }, { time = 0.5, value = 0.0 }]\n"
+        (folder / "scenario.toml").write_text(f'[[stimulus]]\nkind = "{kind}"\n{keys}{jaw}')
+        found = read_scenario(folder).stimulus.sample(np.array([0, 0.1, 9]))
+        assert found["probe.jaw"] == pytest.approx([1, 0.8, 0]), kind
+
+
+def test_an_instrument_that_stands_still_stays_where_the_scene_puts_it(folder: Path) -> None:
+    start = "start_position = [1, 2, 3]\nstart_orientation = [0, 0, 0, 2]\n"
+    (folder / "scene.toml").write_text(SCENE + start + GRASP)
+    (folder / "scenario.toml").write_text('[[stimulus]]\nkind = "still"\njaw = [{ time = 0.0, value = 0.2 }]\n')
+    found = read_scenario(folder).stimulus.sample(np.array([0.0, 5.0]))
+    assert [found[f"probe.position[{k}]"].tolist() for k in (1, 2, 3)] == [[1, 1], [2, 2], [3, 3]]
+    assert [found[f"probe.orientation[{k}]"].tolist() for k in (1, 2, 3, 4)] == [[0, 0], [0, 0], [0, 0], [1, 1]]
+    assert found["probe.jaw"].tolist() == [0.2, 0.2]
+    tremor = "tremor = { amplitude = 0.001 }\n"
+    (folder / "scenario.toml").write_text(f'[[stimulus]]\nkind = "still"\n{tremor}')
+    shaky = read_scenario(folder).stimulus.sample(np.array([0.0, 5.0]))["probe.position[3]"]
+    assert shaky - 3 == pytest.approx(Tremor(amplitude=0.001).shift(np.array([0.0, 5.0]))[:, 2])
+    assert place(Still(kind="still", instrument="probe"), [0]).tolist() == [[0, 0, 0]]
+
+
+@pytest.mark.parametrize("name", ["jaw", "probe.jaw", "jaw [1]"])
+@pytest.mark.parametrize("turn", ["", ",qw,qx,qy,qz"])
+def test_a_column_of_a_recording_is_the_course_of_the_jaws(name: str, turn: str, tmp_path: Path) -> None:
+    still = ",1,0,0,0" if turn else ""
+    text = f"time,x,y,z{turn},{name}\n10,0,0,0{still},1\n10.5,0,0,0{still},0.5\n11,0,0,0{still},0\n"
+    found = read_recording(recording(tmp_path, text), "probe")
+    assert found.jaw.tolist() == [1, 0.5, 0]
+    assert found.orientation.tolist() == [[1, 0, 0, 0]] * 3
+    path = Recording(kind="recording", instrument="probe", file="pose.csv")
+    times = np.array([0, 0.25, 1, 9])
+    assert Stimulus((path,), tmp_path, frozenset({"probe"})).sample(times)["probe.jaw"] == pytest.approx(
+        [1, 0.75, 0, 0]
+    )
+    with pytest.raises(InputError, match=r"pose\.csv: only an instrument with a grasp.*probe without.*the column"):
+        Stimulus((path,), tmp_path).sample(times)
+
+
+@pytest.mark.parametrize("value", ["1.5", "-0.1"])
+def test_a_recorded_jaw_beyond_its_range_is_refused(value: str, tmp_path: Path) -> None:
+    text = f"time,x,y,z,jaw\n0,0,0,0,1\n1,0,0,0,{value}\n"
+    with pytest.raises(InputError, match=rf"pose\.csv:3: column jaw must lie between 0, closed, .*found {value}\."):
+        read_recording(recording(tmp_path, text), "probe")
+
+
+def test_a_recorded_jaw_moves_what_the_scene_lets_grasp(folder: Path) -> None:
+    (folder / "pose.csv").write_text("time,x,y,z,jaw\n0,0,0,0,0.25\n")
+    (folder / "scenario.toml").write_text('[[stimulus]]\nkind = "recording"\nfile = "pose.csv"\n')
+    with pytest.raises(InputError, match=r"pose\.csv: only an instrument with a grasp"):
+        read_scenario(folder).stimulus.sample(np.zeros(1))
+    (folder / "scene.toml").write_text(SCENE + GRASP)
+    assert read_scenario(folder).stimulus.sample(np.zeros(1))["probe.jaw"] == [0.25]
+
+
+def test_the_jaw_of_another_instrument_is_not_read(tmp_path: Path) -> None:
+    text = "time,x,y,z,other.jaw\n0,0,0,0,7\n"
+    assert read_recording(recording(tmp_path, text), "probe").jaw is None
+
+
+def test_jaws_have_one_course_only(tmp_path: Path) -> None:
+    recording(tmp_path, "time,x,y,z,jaw\n0,0,0,0,1\n")
+    path = Recording(kind="recording", instrument="probe", file="pose.csv", jaw=COURSE)
+    with pytest.raises(InputError, match=r"pose\.csv: the jaws must have one course only"):
+        Stimulus((path,), tmp_path, frozenset({"probe"})).sample(np.zeros(1))
+
+
+JAW = "jaw = [{ time = 0.0, value = 1.0 }, { time = 0.5, value = 0.0 }]\n"
+WRONG_JAW = {
+    "no grasp": (GRASP, "", ["stimulus[0].jaw", "only an instrument with a grasp", "probe without", "remove the key"]),
+    "above": ("value = 1.0", "value = 1.5", ["stimulus[0].jaw[0].value", "number between 0 and 1", "found 1.5"]),
+    "below": ("value = 0.0", "value = -0.1", ["stimulus[0].jaw[1].value", "number between 0 and 1", "found -0.1"]),
+    "order": ("time = 0.5", "time = 0.0", ["stimulus[0].jaw[1].time", "follow in time", "at 0 s", "found 0.0"]),
+    "key": ("value = 1.0", "opening = 1.0", ["stimulus[0].jaw[0].opening", "not a key", "time, value"]),
+    "no list": (JAW, "jaw = 0.5\n", ["stimulus[0].jaw", "0.5", "course of the jaws"]),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_JAW)
+def test_one_message_of_a_wrong_jaw(case: str, folder: Path) -> None:
+    old, new, parts = WRONG_JAW[case]
+    scene, scenario = SCENE + GRASP, f'[[stimulus]]\nkind = "still"\n{JAW}'
+    assert old in scene + scenario
+    (folder / "scene.toml").write_text(scene.replace(old, new, 1))
+    (folder / "scenario.toml").write_text(scenario.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        read_scenario(folder)
+    assert [part for part in parts if part not in str(caught.value)] == [], str(caught.value)
 
 
 # --- recordings -------------------------------------------------------------------------------------------
@@ -315,7 +444,10 @@ def test_a_shipped_scenario_is_meant_by_its_name_only(
 @pytest.mark.parametrize("name", shipped_names())
 def test_shipped_scenarios_begin_where_the_scene_puts_the_instrument(name: str) -> None:
     scenario = read_scenario(name)
+    poses = scenario.stimulus.poses(np.zeros(1))
     for instrument in scenario.scene.instrument:
-        start = scenario.stimulus.poses(np.zeros(1))[instrument.name]
+        if instrument.name not in poses:  # without a stimulus it stays there
+            continue
+        start = poses[instrument.name]
         assert start.position[0] == pytest.approx(instrument.start_position, abs=1e-3)  # recordings are noisy
         assert abs(start.orientation[0] @ instrument.start_orientation) == pytest.approx(1, abs=1e-3)
