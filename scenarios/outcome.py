@@ -72,34 +72,62 @@ def write_csv(trace: Trace, path: Path) -> None:
 
 @dataclass(frozen=True)
 class Verdict:
-    """One expectation, what came out, and whether it holds."""
+    """One expectation, what came out, and whether it holds.
+
+    Parameters
+    ----------
+    expectation : Expectation
+    value : float
+        The statistic, in `unit`.
+    unit : str
+    whole : float
+        What the bounds are shares of, in `unit`; 1 where they are no shares.
+
+    """
 
     expectation: Expectation
     value: float
     unit: str
+    whole: float = 1.0
 
     @property
     def holds(self) -> bool:
-        """Whether the value lies within the bounds; NaN never does."""
+        """Whether the value lies within the bounds; NaN never does. Nothing is within any share of nothing."""
         low, high = self.expectation.at_least, self.expectation.at_most
-        return (low is None or self.value >= low) and (high is None or self.value <= high)
+        return (low is None or self.value >= low * self.whole) and (high is None or self.value <= high * self.whole)
 
     @property
     def bounds(self) -> str:
         """The bounds in words."""
         low, high = self.expectation.at_least, self.expectation.at_most
         if low is None:
-            return f"at most {high:g}"
-        return f"at least {low:g}" if high is None else f"{low:g} to {high:g}"
+            return f"at most {high:g}{self._measure}"
+        return f"at least {low:g}{self._measure}" if high is None else f"{low:g} to {high:g}{self._measure}"
+
+    @property
+    def found(self) -> str:
+        """The value in words, measured like the bounds."""
+        if not self.expectation.of or self.whole == 0:
+            return f"{self.value:.6g}{_unit(self.unit)}"
+        return f"{self.value / self.whole:.3g}{self._measure}"
+
+    @property
+    def _measure(self) -> str:
+        return f" of {self.expectation.of}" if self.expectation.of else _unit(self.unit)
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else f" {unit}"
 
 
 def check_names(expectations: Sequence[Expectation], names: Sequence[str], place: str) -> None:
     """Refuse expectations on outputs that are not there, with InputError; `place` is the scenario file."""
     for i, expectation in enumerate(expectations):
-        if expectation.output not in names:
-            way_out = nearest(expectation.output, names, what="outputs")
-            here, rule = f"{place}, expect[{i}].output", "the FMU must have the output"
-            raise InputError(here, rule, f'"{expectation.output}"', way_out)
+        for key in ("output", "of"):
+            name = getattr(expectation, key)
+            if name and name not in names:
+                here, rule = f"{place}, expect[{i}].{key}", "the FMU must have the output"
+                raise InputError(here, rule, f'"{name}"', nearest(name, names, what="outputs"))
 
 
 def judge(expectations: Sequence[Expectation], trace: Trace) -> list[Verdict]:
@@ -112,7 +140,13 @@ def judge(expectations: Sequence[Expectation], trace: Trace) -> list[Verdict]:
         "peak": lambda values: np.max(np.abs(values)),
     }
     return [
-        Verdict(e, float(statistics[e.statistic](trace.column(e.output))), trace.unit(e.output)) for e in expectations
+        Verdict(
+            e,
+            float(statistics[e.statistic](trace.column(e.output))),
+            trace.unit(e.output),
+            float(statistics["peak"](trace.column(e.of))) if e.of else 1.0,
+        )
+        for e in expectations
     ]
 
 
@@ -125,8 +159,10 @@ class Summary:
 
     Parameters
     ----------
-    peak_force, peak_time, deepest, contact_time : of each instrument in contact, by name
-    balance, work : energy that is unaccounted for at the end; greatest magnitude of the work on the tissue
+    peak_force, peak_time, deepest, contact_time : of each instrument and each rigid body, by name
+    leader : the instrument that met the greatest force, None when nothing was touched
+    held : most tissue vertices that each grasper held, by name
+    balance, work : energy that is unaccounted for, at its worst; greatest magnitude of the instruments' work
     step_median, step_tail, step_max : time that the FMU took for a step; the tail is the 99.9th percentile
     real_time_factor : simulated time over the time that its steps took
 
@@ -136,6 +172,8 @@ class Summary:
     peak_time: dict[str, float]
     deepest: dict[str, float]
     contact_time: dict[str, float]
+    leader: str | None
+    held: dict[str, int]
     balance: float | None
     work: float | None
     step_median: float
@@ -156,6 +194,9 @@ def summarise(trace: Trace) -> Summary:
         peak_time[name] = float(trace.time[force.argmax()])
         deepest[name] = float(depth.max())
         contact_time[name] = float(step[(depth > 0)[1:]].sum())
+    instruments = {name: peak_force[name] for name in names if f"{name}.position[1]" in trace.names}
+    leader = max(instruments, key=lambda name: instruments[name], default=None)
+    graspers = [n.removesuffix(".grasped") for n in trace.names if n.endswith(".grasped")]
     energy = "energy.balance" in trace.names and "energy.work" in trace.names
     taken = trace.step_time[1 : trace.done]
     return Summary(
@@ -163,7 +204,9 @@ def summarise(trace: Trace) -> Summary:
         peak_time=peak_time,
         deepest=deepest,
         contact_time=contact_time,
-        balance=float(trace.column("energy.balance")[-1]) if energy else None,
+        leader=leader if leader is not None and peak_force[leader] > 0 else None,
+        held={name: int(trace.column(f"{name}.grasped").max()) for name in graspers},
+        balance=float(max(trace.column("energy.balance"), key=abs)) if energy else None,
         work=float(np.abs(trace.column("energy.work")).max()) if energy else None,
         step_median=float(np.median(taken)),
         step_tail=float(np.percentile(taken, 99.9)),

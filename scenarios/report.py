@@ -1,7 +1,7 @@
-"""The figures of a run: force and depth over time, the deformed tissue at the peak force; a scene at rest."""
+"""The figures of a run: forces and depths over time, the deformed tissue at the peak force; a scene at rest."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from tissue_contact.assembly import Assembly
 from tissue_contact.files import publish
-from tissue_contact.kernels.layout import State
-from tissue_contact.kernels.slots import POSE
+from tissue_contact.geometry import Surface
 from tissue_contact.scenarios.outcome import FloatArray, Trace
+from tissue_contact.scene import Rigid, Scene
 from tissue_contact.simulate import rollout
-from tissue_contact.surfaces import rotation_matrix
+from tissue_contact.surfaces import rotation_matrix, surface_of
 
 if TYPE_CHECKING:
     from tissue_contact.scenarios.run import Outcome
@@ -32,12 +32,14 @@ LIGHT = np.array([-0.45, -0.35, 0.82])  # towards the light, in the camera's upr
 AMBIENT = 0.42  # light that reaches every side
 STEEL = np.array([0.44, 0.52, 0.60])
 STEEL_OPACITY = 0.45
+BONE = np.array([0.93, 0.90, 0.80])
 # From pale tissue to deep red, dark enough at the far end for the shading to stay visible everywhere.
 DISPLACEMENT_COLOURS = LinearSegmentedColormap.from_list(
     "displacement", ["#f6ddcf", "#f2b49b", "#e27b6a", "#bf4551", "#8a2346", "#4f1237"]
 )
 PALE = np.array(DISPLACEMENT_COLOURS(0.2)[:3])  # tissue at rest
 STILL_SIZE = 5.0  # [inch] of the longer side of the picture of a scene at rest
+POSE = (("position", 3), ("orientation", 4))  # inputs of an instrument
 COMPONENT_COLOURS = {"x": "#4477aa", "y": "#66a61e", "z": "#d95f02"}
 
 
@@ -56,26 +58,26 @@ def draw(outcome: "Outcome", assembly: Assembly, output: Path) -> list[Path]:
     The files written.
 
     """
-    name, trace = outcome.scenario.name, outcome.trace
+    name, trace, summary = outcome.scenario.name, outcome.trace, outcome.summary
     files = []
-    if outcome.summary.peak_force:
+    if summary.peak_force:
         files.append(output / f"{name}.png")
-        publish(files[-1], history(trace, list(outcome.summary.peak_force), name))
+        publish(files[-1], history(trace, list(summary.peak_force), name))
     files.append(output / f"{name}-peak.png")
-    publish(files[-1], peak(trace, list(outcome.summary.peak_force), assembly, name))
+    publish(files[-1], peak(trace, summary.leader, outcome.scenario.scene, assembly, name))
     return files
 
 
 # --- over time --------------------------------------------------------------------------------------------
 
 
-def history(trace: Trace, instruments: Sequence[str], title: str) -> bytes:
-    """Force and depth of the named instruments over time, as PNG."""
-    figure = Figure(figsize=(8, 2 + 3.2 * len(instruments)), layout="constrained")
+def history(trace: Trace, bodies: Sequence[str], title: str) -> bytes:
+    """Force and depth of the named instruments and rigid bodies over time, as PNG; grey while jaws hold tissue."""
+    figure = Figure(figsize=(8, 2 + 3.2 * len(bodies)), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(2 * len(instruments), 1, sharex=True, height_ratios=[3, 2] * len(instruments))
+    axes = figure.subplots(2 * len(bodies), 1, sharex=True, height_ratios=[3, 2] * len(bodies))
     time = trace.time[: trace.done]
-    for name, force_axes, depth_axes in zip(instruments, axes[::2], axes[1::2], strict=True):
+    for name, force_axes, depth_axes in zip(bodies, axes[::2], axes[1::2], strict=True):
         force = trace.vector(f"{name}.force")
         depth = trace.column(f"{name}.depth")
         size = np.linalg.norm(force, axis=1)
@@ -93,9 +95,12 @@ def history(trace: Trace, instruments: Sequence[str], title: str) -> bytes:
                 textcoords="offset points",
                 ha="left" if right else "right",
             )
-        force_axes.set_ylabel("force on the instrument [N]")
-        force_axes.set_title(f"{title}: {name}" if len(instruments) > 1 else title)
-        force_axes.legend(loc="upper left", frameon=False, ncols=4)
+        if f"{name}.grasped" in trace.names:
+            held = trace.column(f"{name}.grasped") > 0
+            for a in (force_axes, depth_axes):
+                reach = a.get_xaxis_transform()
+                a.fill_between(time, 0, 1, where=held, transform=reach, color="0.9", lw=0, label="holds tissue")
+        force_axes.set_ylabel(f"force on {name} [N]")
         force_axes.margins(y=0.22)
         depth_axes.fill_between(time, 1e3 * depth, color="#bf4551", alpha=0.25, lw=0)
         depth_axes.plot(time, 1e3 * depth, color="#bf4551", lw=1.2)
@@ -104,6 +109,9 @@ def history(trace: Trace, instruments: Sequence[str], title: str) -> bytes:
         for a in (force_axes, depth_axes):
             a.grid(alpha=0.25)
             a.spines[["top", "right"]].set_visible(False)
+    axes[0].set_title(title)
+    labelled = {text: line for a in axes[::2] for line, text in zip(*a.get_legend_handles_labels(), strict=True)}
+    figure.legend(labelled.values(), labelled.keys(), loc="outside lower center", frameon=False, ncols=len(labelled))
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(time[0], time[-1])
     return _png(figure)
@@ -119,33 +127,40 @@ def _png(figure: Figure) -> bytes:
 # --- at the peak ------------------------------------------------------------------------------------------
 
 
-def peak(trace: Trace, instruments: Sequence[str], assembly: Assembly, title: str) -> bytes:
-    """The tissue and all instruments at the greatest force, or at the end without any contact, as PNG.
+def peak(trace: Trace, leader: str | None, scene: Scene, assembly: Assembly, title: str) -> bytes:
+    """All there is at the greatest force on instrument `leader`, at the end when there is none, as PNG.
 
     The FMU does not tell the shape of the tissue: the same steps are done again by the model in Python, which
     gives the same bits.
     """
-    forces = {name: np.linalg.norm(trace.vector(f"{name}.force"), axis=1) for name in instruments}
-    leader = max(forces, key=lambda name: forces[name].max(), default=None)
-    touched = leader is not None and forces[leader].max() > 0
-    row = int(forces[leader].argmax()) if leader is not None and touched else trace.done - 1
+    row, when = trace.done - 1, "no contact"
+    if leader is not None:
+        force = np.linalg.norm(trace.vector(f"{leader}.force"), axis=1)
+        row = int(force.argmax())
+        when = f"peak force {force[row]:.3g} N on {leader}"
     inputs = np.tile(assembly.inputs, (row + 1, 1))
     for variable in assembly.variables:
         if variable.block == "inputs":
             inputs[:, variable.slot] = trace.column(variable.name)[: row + 1]
     state = rollout(assembly, inputs, trace.time[1] - trace.time[0]).state
-    names = [v.name.removesuffix(".orientation[1]") for v in assembly.variables if ".orientation[1]" in v.name]
-    leading = names.index(leader) if leader in names else None
-    rest, tissue, bodies, up = _placed(assembly, state, inputs[row], leading)
-    when = f"peak force {forces[leader][row]:.3g} N" if leader is not None and touched else "no contact"
-    return picture(tissue, rest, bodies, up, f"{title}: {when}, t = {trace.time[row]:.3f} s")
+    model = assembly.model
+    rest = np.column_stack([model.rest_x, model.rest_y, model.rest_z])
+    triangles = np.column_stack([model.triangle_a, model.triangle_b, model.triangle_c])
+    tissue = Mesh(np.column_stack([state.x, state.y, state.z]), triangles)
+    poses = {
+        i.name: [trace.column(f"{i.name}.{part}[{k}]")[row] for part, n in POSE for k in range(1, n + 1)]
+        for i in scene.instrument
+    }
+    bodies, rigid, up = _bodies(scene, poses, leader)
+    return picture(tissue, rest, bodies, up, f"{title}: {when}, t = {trace.time[row]:.3f} s", rigid)
 
 
-def still(assembly: Assembly) -> bytes:
-    """The scene at its start: tissue and instruments, as PNG."""
-    leading = 0 if len(assembly.model.instrument_part_start) > 1 else None
-    _, tissue, bodies, up = _placed(assembly, assembly.state, assembly.inputs, leading)
-    image = _scene(tissue, np.tile(PALE, (len(tissue.triangles), 1)), bodies, up)
+def still(scene: Scene) -> bytes:
+    """The scene at its start: tissue and bodies, as PNG."""
+    poses = {i.name: [*i.start_position, *i.start_orientation] for i in scene.instrument}
+    tissue = _joined([surface_of(t, scene.folder, scene.place) for t in scene.tissue])
+    bodies, rigid, up = _bodies(scene, poses, next(iter(poses), None))
+    image = _scene(tissue, np.tile(PALE, (len(tissue.triangles), 1)), bodies, up, rigid)
     height, width = image.shape[:2]
     figure = Figure(figsize=(STILL_SIZE * width / max(width, height), STILL_SIZE * height / max(width, height)))
     FigureCanvasAgg(figure)
@@ -155,32 +170,34 @@ def still(assembly: Assembly) -> bytes:
     return _png(figure)
 
 
-def _placed(
-    assembly: Assembly, state: State, inputs: FloatArray, leading: int | None
-) -> tuple[FloatArray, Mesh, list[Mesh], FloatArray]:
-    """Rest places of the vertices, the tissue, the bodies at the poses of `inputs`, where instrument `leading` ends."""
-    model = assembly.model
-    rest = np.column_stack([model.rest_x, model.rest_y, model.rest_z])
-    tissue = Mesh(
-        np.column_stack([state.x, state.y, state.z]),
-        np.column_stack([model.triangle_a, model.triangle_b, model.triangle_c]),
-    )
-    bodies, up = [], np.array([0.0, 0.0, 1.0])
-    body_points = np.column_stack([model.instrument_x, model.instrument_y, model.instrument_z])
-    body_triangles = np.column_stack([model.instrument_a, model.instrument_b, model.instrument_c])
-    for i in range(len(model.instrument_triangle_start) - 1):
-        pose = inputs[POSE * i : POSE * (i + 1)]
+def _joined(surfaces: Sequence[Surface]) -> Mesh:
+    first = np.cumsum([0] + [len(s.vertices) for s in surfaces])
+    vertices = [s.vertices for s in surfaces] or [np.empty((0, 3))]
+    triangles = [s.triangles + n for s, n in zip(surfaces, first, strict=False)] or [np.empty((0, 3), np.int32)]
+    return Mesh(np.concatenate(vertices), np.concatenate(triangles))
+
+
+def _bodies(
+    scene: Scene, poses: Mapping[str, Sequence[float]], leading: str | None
+) -> tuple[list[Mesh], list[Mesh], FloatArray]:
+    """Instruments at their poses, rigid bodies, and which way instrument `leading` goes from its tip."""
+    up = np.array([0.0, 0.0, 1.0])
+    placed = []
+    for body in scene.bodies:
+        surface = surface_of(body, scene.folder, scene.place)
+        pose = np.array([*body.position, *body.rotation] if isinstance(body, Rigid) else poses[body.name])
         turn = rotation_matrix(tuple(pose[3:] / np.linalg.norm(pose[3:])))
-        begin, end = model.instrument_triangle_start[i : i + 2]
-        bodies.append(Mesh(body_points @ turn.T + pose[:3], body_triangles[begin:end]))
-        if i == leading:
-            shaft = model.part_axis[6 * model.instrument_part_start[i] :][:6].reshape(2, 3)
-            up = turn @ (shaft[1] - shaft[0])
-    return rest, tissue, bodies, up
+        placed.append(Mesh(surface.vertices @ turn.T + pose[:3], surface.triangles))
+        middle = turn @ surface.vertices.mean(axis=0)
+        if body.name == leading and np.linalg.norm(middle) > 1e-6:
+            up = middle
+    return placed[: len(scene.instrument)], placed[len(scene.instrument) :], up
 
 
-def picture(tissue: Mesh, rest: FloatArray, bodies: Sequence[Mesh], up: FloatArray, title: str) -> bytes:
-    """Shaded picture of tissue, coloured by its displacement, and of half-transparent bodies, as PNG.
+def picture(
+    tissue: Mesh, rest: FloatArray, bodies: Sequence[Mesh], up: FloatArray, title: str, rigid: Sequence[Mesh] = ()
+) -> bytes:
+    """Shaded picture of tissue, coloured by its displacement, of half-transparent instruments and of bones, as PNG.
 
     Parameters
     ----------
@@ -189,17 +206,19 @@ def picture(tissue: Mesh, rest: FloatArray, bodies: Sequence[Mesh], up: FloatArr
     rest : float64 [m], shape (n, 3)
         Where its vertices were.
     bodies : sequence of Mesh
-        In the world.
+        The instruments, in the world.
     up : float64, shape (3,)
         Direction that points up in the picture: from the contact towards the handle shows the dent.
     title : str
         Over the picture.
+    rigid : sequence of Mesh
+        The bodies that do not move, in the world.
 
     """
     moved = 1e3 * np.linalg.norm(tissue.vertices - rest, axis=1)
-    span = Normalize(0.0, max(float(moved.max()), 1e-3))
+    span = Normalize(0.0, max(float(moved.max(initial=0.0)), 1e-3))
     colours = DISPLACEMENT_COLOURS(span(moved[tissue.triangles].mean(axis=1)))[:, :3]
-    image = _scene(tissue, colours, bodies, up)
+    image = _scene(tissue, colours, bodies, up, rigid)
 
     height = 5.6  # [inch] of the picture itself
     width = float(np.clip(height * image.shape[1] / image.shape[0], 4.0, 10.0))
@@ -209,25 +228,28 @@ def picture(tissue: Mesh, rest: FloatArray, bodies: Sequence[Mesh], up: FloatArr
     axes = figure.add_axes((0.1 / total[0], 0.1 / total[1], width / total[0], height / total[1]))
     axes.imshow(image, interpolation="antialiased")
     axes.set_axis_off()
-    legend = figure.add_axes(((width + 0.25) / total[0], 0.25, 0.2 / total[0], 0.5))
-    figure.colorbar(ScalarMappable(span, DISPLACEMENT_COLOURS), cax=legend, label="displacement of the tissue [mm]")
+    if len(tissue.vertices):
+        legend = figure.add_axes(((width + 0.25) / total[0], 0.25, 0.2 / total[0], 0.5))
+        figure.colorbar(ScalarMappable(span, DISPLACEMENT_COLOURS), cax=legend, label="displacement of the tissue [mm]")
     figure.suptitle(title, y=1 - 0.18 / total[1], fontsize=12, va="top")
     return _png(figure)
 
 
-def _scene(tissue: Mesh, colours: FloatArray, bodies: Sequence[Mesh], up: FloatArray) -> NDArray[np.uint8]:
-    """Shaded tissue, its triangles in `colours`, and half-transparent bodies; shape (rows, columns, 4)."""
+def _scene(
+    tissue: Mesh, colours: FloatArray, bodies: Sequence[Mesh], up: FloatArray, rigid: Sequence[Mesh] = ()
+) -> NDArray[np.uint8]:
+    """Shaded tissue, its triangles in `colours`, half-transparent instruments, bones; shape (rows, columns, 4)."""
     upright, camera = _upright(up), _camera()
     corners = [(tissue.vertices @ upright.T)[tissue.triangles]]
     base, opacity = [colours], [np.ones(len(tissue.triangles))]
-    for body in bodies:
+    for body, colour, alpha in [(b, STEEL, STEEL_OPACITY) for b in bodies] + [(b, BONE, 1.0) for b in rigid]:
         body_corners = (body.vertices @ upright.T)[body.triangles]
         body_corners = body_corners[_normals(body_corners) @ camera > 0]  # the far side would show through
         corners.append(body_corners)
-        base.append(np.tile(STEEL, (len(body_corners), 1)))
-        opacity.append(np.full(len(body_corners), STEEL_OPACITY))
-    faces, colour, alpha = 1e3 * np.concatenate(corners), np.concatenate(base), np.concatenate(opacity)
-    return _rendered(faces, np.column_stack([_lit(faces, colour, camera), alpha]), alpha == 1.0)
+        base.append(np.tile(colour, (len(body_corners), 1)))
+        opacity.append(np.full(len(body_corners), alpha))
+    faces, opaque = 1e3 * np.concatenate(corners), np.concatenate(opacity)
+    return _rendered(faces, np.column_stack([_lit(faces, np.concatenate(base), camera), opaque]), opaque == 1.0)
 
 
 def _rendered(faces: FloatArray, colours: FloatArray, solid: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -247,7 +269,8 @@ def _rendered(faces: FloatArray, colours: FloatArray, solid: NDArray[np.bool_]) 
     axes.set_box_aspect(tuple(size), zoom=0.85)  # it scales an array in place
     axes.view_init(ELEVATION, AZIMUTH)
     axes.set_axis_off()
-    bar = 10.0 ** np.floor(np.log10(0.5 * size[0]))
+    decade = 10.0 ** np.floor(np.log10(0.5 * size[0]))
+    bar = decade * max(digit for digit in (1, 2, 5) if digit * decade <= 0.5 * size[0])
     end = np.array([high[0], low[1] - 0.03 * size[1], faces[:, :, 2].min()])
     axes.add_collection3d(Line3DCollection([[end - [bar, 0, 0], end]], colors="black", linewidths=3))
     axes.text(*(end - [0.5 * bar, 0.02 * size[1], 0]), f"{bar:g} mm", ha="right", va="top", fontsize=22)

@@ -67,7 +67,7 @@ class Outcome:
 
 def scene_key(scene: Scene) -> str:
     """Hash of all that goes into a scene's FMU: its file, its meshes, this package's sources and version."""
-    meshes = [scene.folder / body.mesh for body in (*scene.tissue, *scene.instrument) if body.mesh]
+    meshes = [scene.folder / body.mesh for body in (*scene.tissue, *scene.bodies) if body.mesh]
     roots = [Path(m.__file__).parent for m in (tissue_contact, tissue_contact.fmu) if m.__file__]
     sources = [p for root in roots for p in root.rglob("*") if p.suffix in (".py", ".c", ".h", ".def")]
     # Assembly tells of a missing mesh. The scene is hashed as bytes: latin-1 makes a text of any.
@@ -381,9 +381,11 @@ def print_summary(outcome: Outcome, console: Console) -> None:
         table.add_row(f"{name}: peak force", f"{force:.4g} N, {at}")
         table.add_row(f"{name}: deepest penetration", f"{1e3 * summary.deepest[name]:.3f} mm")
         table.add_row(f"{name}: time in contact", f"{summary.contact_time[name]:.3f} s")
+        if name in summary.held:
+            table.add_row(f"{name}: tissue vertices held", f"{summary.held[name]}")
     if summary.balance is not None and summary.work is not None:
         share = f", {100 * summary.balance / summary.work:.2g} % of the work" if summary.work > 0 else ""
-        table.add_row("energy balance", f"{summary.balance:.3g} J{share}")
+        table.add_row("energy balance at its worst", f"{summary.balance:.3g} J{share}")
     micro = [f"{1e6 * t:.1f}" for t in (summary.step_median, summary.step_tail, summary.step_max)]
     table.add_row("step time median / p99.9 / maximum", f"{' / '.join(micro)} µs")
     table.add_row("real-time factor", f"{summary.real_time_factor:.1f}")
@@ -392,10 +394,10 @@ def print_summary(outcome: Outcome, console: Console) -> None:
         return
     table = Table(title="Expectations")
     for heading in ("", "output", "bounds", "found", "reason"):
-        table.add_column(heading)
+        table.add_column(heading, no_wrap=heading == "output")
     for v in outcome.verdicts:
         mark = "[green]holds[/]" if v.holds else "[red]fails[/]"
-        unit = "" if v.unit == "1" else f" {v.unit}"
-        what = f"{v.expectation.output}, {v.expectation.statistic}".replace("[", r"\[")
-        table.add_row(mark, what, f"{v.bounds}{unit}", f"{v.value:.6g}{unit}", v.expectation.reason)
+        what = f"{v.expectation.output}, {v.expectation.statistic}"
+        texts = (what, v.bounds, v.found, v.expectation.reason)
+        table.add_row(mark, *(text.replace("[", r"\[") for text in texts))
     console.print(table)

@@ -21,8 +21,9 @@ class Expectation(Settings):
     statistic: Literal["max", "min", "final", "mean", "peak"] = Field(
         description="what of the output over time is bounded; peak is the greatest magnitude"
     )
-    at_least: float | None = quantity("1", -1e300, 1e300, "least value, in the unit of the output", None)
-    at_most: float | None = quantity("1", -1e300, 1e300, "greatest value, in the unit of the output", None)
+    at_least: float | None = quantity("1", -1e300, 1e300, "least value, in the unit of the output or as a share", None)
+    at_most: float | None = quantity("1", -1e300, 1e300, "greatest value, likewise", None)
+    of: str = Field("", description="an output of whose greatest magnitude over the run the bounds are shares")
     reason: str = Field("", description="why this is expected")
 
     @model_validator(mode="after")
