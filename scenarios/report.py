@@ -151,7 +151,7 @@ def peak(trace: Trace, leader: str | None, scene: Scene, assembly: Assembly, tit
         i.name: [trace.column(f"{i.name}.{part}[{k}]")[row] for part, n in POSE for k in range(1, n + 1)]
         for i in scene.instrument
     }
-    bodies, rigid, up = _bodies(scene, poses, leader)
+    bodies, rigid, up = _bodies(scene, poses)
     return picture(tissue, rest, bodies, up, f"{title}: {when}, t = {trace.time[row]:.3f} s", rigid)
 
 
@@ -159,7 +159,7 @@ def still(scene: Scene) -> bytes:
     """The scene at its start: tissue and bodies, as PNG."""
     poses = {i.name: [*i.start_position, *i.start_orientation] for i in scene.instrument}
     tissue = _joined([surface_of(t, scene.folder, scene.place) for t in scene.tissue])
-    bodies, rigid, up = _bodies(scene, poses, next(iter(poses), None))
+    bodies, rigid, up = _bodies(scene, poses)
     image = _scene(tissue, np.tile(PALE, (len(tissue.triangles), 1)), bodies, up, rigid)
     height, width = image.shape[:2]
     figure = Figure(figsize=(STILL_SIZE * width / max(width, height), STILL_SIZE * height / max(width, height)))
@@ -177,20 +177,18 @@ def _joined(surfaces: Sequence[Surface]) -> Mesh:
     return Mesh(np.concatenate(vertices), np.concatenate(triangles))
 
 
-def _bodies(
-    scene: Scene, poses: Mapping[str, Sequence[float]], leading: str | None
-) -> tuple[list[Mesh], list[Mesh], FloatArray]:
-    """Instruments at their poses, rigid bodies, and which way instrument `leading` goes from its tip."""
-    up = np.array([0.0, 0.0, 1.0])
-    placed = []
+def _bodies(scene: Scene, poses: Mapping[str, Sequence[float]]) -> tuple[list[Mesh], list[Mesh], FloatArray]:
+    """Instruments at their poses, rigid bodies, and which way the handles go: up, where they go no way together."""
+    placed, handles = [], np.zeros(3)
     for body in scene.bodies:
         surface = surface_of(body, scene.folder, scene.place)
         pose = np.array([*body.position, *body.rotation] if isinstance(body, Rigid) else poses[body.name])
         turn = rotation_matrix(tuple(pose[3:] / np.linalg.norm(pose[3:])))
         placed.append(Mesh(surface.vertices @ turn.T + pose[:3], surface.triangles))
-        middle = turn @ surface.vertices.mean(axis=0)
-        if body.name == leading and np.linalg.norm(middle) > 1e-6:
-            up = middle
+        middle = turn @ surface.vertices.mean(axis=0)  # the origin is the tip
+        if not isinstance(body, Rigid):
+            handles += middle / max(float(np.linalg.norm(middle)), 1e-6)
+    up = handles if np.linalg.norm(handles) > 0.1 else np.array([0.0, 0.0, 1.0])
     return placed[: len(scene.instrument)], placed[len(scene.instrument) :], up
 
 
