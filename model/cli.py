@@ -68,9 +68,10 @@ def build(
             raise InputError("--platform", "the platform must be a known one", name, way_out)
     if output.suffix != ".fmu":
         raise InputError("--output", "the name of an FMU must end in .fmu", output, "Add the suffix")
-    assembly = assemble(read_scene(scene))
+    read = read_scene(scene)
+    assembly = assemble(read)
     _tell("drawing the scene")
-    build_fmu(assembly, output, platforms=platform or ALL, picture=still(assembly), on_progress=_tell)
+    build_fmu(assembly, output, platforms=platform or ALL, picture=still(read), on_progress=_tell)
     typer.echo(f"wrote {output}")
 
 

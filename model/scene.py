@@ -1,7 +1,7 @@
 """The scene file: what exists, in SI units, validated into a frozen tree.
 
-A scene declares tissues, instruments, contact pairs, solver and motion. Only what it declares exists in the
-FMU and costs anything. Lengths are in metres, quaternions are w, x, y, z.
+A scene declares tissues, instruments, rigid bodies, contact pairs, solver and motion. Only what it declares
+exists in the FMU and costs anything. Lengths are in metres, quaternions are w, x, y, z.
 """
 
 import math
@@ -173,6 +173,7 @@ class _Body(Settings):
     scale: float = quantity("1", 1e-9, 1e3, "metres per unit of the mesh file, 0.001 for millimetres", 1.0)
     open_surface: bool = Field(False, description="the mesh is meant to be a sheet with a boundary")
     many_parts: bool = Field(False, description="the mesh is meant to be of several pieces")
+    flip: bool = Field(False, description="turn the surface inside out: what was its inner side becomes the outer one")
     shape: Shape | None = Field(None, description="generated surface, instead of a mesh file")
 
     @model_validator(mode="after")
@@ -229,7 +230,11 @@ class Tissue(_Body):
     )
     thickness: float | None = quantity("m", 1e-5, 0.2, "thickness of the tissue layer", None)
     bending_stiffness: float = quantity("N/m", 0, 1e7, "stiffness of every bending spring, 0 for none", 0.0)
+    nonlinearity: float = quantity("1", 0, 1e4, "b of a spring that stiffens with strain e: k (1 + b e²)", 0.0)
+    preload: float = quantity("1", 0, 0.9, "share by which the springs at rest are shorter than meshed", 0.0)
     damping: float = quantity("N.s/m", 0, 1e4, "damping of every spring along its direction", 0.0)
+    area_stiffness: float = quantity("N/m", 0, 1e7, "resistance of every triangle against a change of its area", 0.0)
+    volume_stiffness: float = quantity("Pa", 0, 1e9, "resistance of a closed organ against a change of volume", 0.0)
     drag: float = quantity("N.s/m3", 0, 1e7, "damping of motion against the surroundings, per area", 0.0)
     support_stiffness: float = quantity(
         "N/m3", 0, 1e10, "elastic foundation under the surface, per area, 0 for none", 0.0
@@ -252,6 +257,25 @@ class Tissue(_Body):
         return self
 
 
+class Grasp(Settings):
+    """Jaws that hold tissue: what lies within their reach as they close keeps its place in the body frame."""
+
+    radius: float = _length("reach of the jaws: tissue vertices this near to their centre are held")
+    centre: Point = items("m", "middle of the jaws in the body frame", ORIGIN)
+    stiffness: float = quantity("N/m", 1, 1e7, "stiffness of the whole hold")
+    damping: float = quantity("N.s/m", 0, 1e4, "damping of the whole hold", 0.0)
+    slip_force: float = quantity("N", 1e-3, 1e4, "force of the whole hold above which the tissue slides in the jaws")
+    close_below: float = quantity("1", 0, 1, "the jaws close when their input falls below", 0.3)
+    open_above: float = quantity("1", 0, 1, "the jaws open when their input rises above", 0.5)
+
+    @model_validator(mode="after")
+    def _hysteresis(self) -> "Grasp":
+        if self.close_below > self.open_above:
+            found = f"{self.close_below:g} and {self.open_above:g}"
+            raise broken(("close_below",), "close_below must not exceed open_above", found, "Swap the two")
+        return self
+
+
 class Instrument(_Body):
     """A rigid body whose pose is the input."""
 
@@ -262,27 +286,89 @@ class Instrument(_Body):
     start_orientation: Quaternion = items(
         "1", "rotation of the body frame into the world at the start, quaternion w, x, y, z", IDENTITY
     )
+    grasp: Grasp | None = Field(None, description="jaws that can hold tissue; adds the input jaw")
+
+
+class Rigid(_Body):
+    """A rigid body that does not move, such as a bone."""
+
+    name: Name = Field("rigid", description="name, first part of the names of its variables")
+    position: Point = items("m", "place of the surface's origin in the world", ORIGIN)
+    rotation: Quaternion = items("1", "rotation of the surface into the world, quaternion w, x, y, z", IDENTITY)
+
+
+Response = Literal["distance_field", "hull", "kdop", "oobb", "oobb_literal", "primitive"]
 
 
 class Contact(Settings):
-    """A pair of tissue and instrument that is watched for collision.
+    """Two objects that are watched for collision.
 
-    In a validated scene `tissue`, `instrument` and `name` are always filled in.
+    In a validated scene `between` and `name` are always filled in, a tissue first, a rigid body last.
     """
 
     name: str = Field("", pattern=NAME_PATTERN, description="name, first part of the names of its variables")
-    tissue: str = Field("", pattern=NAME_PATTERN, description="name of the tissue; without it the only one")
-    instrument: str = Field("", pattern=NAME_PATTERN, description="name of the instrument; without it the only one")
-    stiffness: float = quantity("N/m", 1, 1e7, "stiffness of the whole contact")
-    damping: float = quantity("N.s/m", 0, 1e4, "damping of the whole contact", 0.0)
-    law: Literal["kelvin_voigt"] = Field("kelvin_voigt", description="force law over depth")
-    response: Literal["hull", "oobb"] = Field(
-        "hull", description="how depth is measured: support of the hull or of the box of an instrument's part"
+    between: Annotated[tuple[Name, ...], Field(max_length=2, strict=False)] = Field(
+        (), description="names of the two objects; without it the only tissue and the only instrument"
     )
+    response: Response = Field(
+        "distance_field",
+        description="how depth is measured: at the tissue's points in the field of the other body, or by the support "
+        "of its hull, of its k-DOP, of its box, by the box as in the thesis, by the intersecting triangles alone",
+    )
+    law: Literal["kelvin_voigt", "hunt_crossley"] = Field("kelvin_voigt", description="force law over depth")
+    stiffness_per_area: float | None = quantity(
+        "N/m3", 1e2, 1e12, "stiffness of a distance_field contact, force per depth and area", None
+    )
+    damping_per_area: float = quantity("N.s/m3", 0, 1e9, "damping of a distance_field contact, per area", 0.0)
+    stiffness: float | None = quantity("N/m", 1, 1e7, "stiffness of the whole contact, for every other response", None)
+    damping: float = quantity("N.s/m", 0, 1e4, "damping of the whole contact", 0.0)
+    exponent: float = quantity("1", 1, 3, "n of hunt_crossley, F = k d (d / 1 m)^(n - 1) (1 + lambda d')", 1.5)
+    dissipation: float = quantity("s/m", 0, 1e3, "lambda of hunt_crossley", 0.0)
+    friction: float = quantity("1", 0, 10, "coefficient of Coulomb friction, 0 for none", 0.0)
+    slip_speed: float = quantity("m/s", 1e-6, 1, "speed above which friction is nearly full", 1e-3)
+    side: Literal["outer", "both"] | None = Field(
+        None, description="sides of the tissue that count; without it both for a rigid body, outer for an instrument"
+    )
+    kdop: int = Field(14, description="k of the kdop response: 6, 14 or 26")
     pair_weight: Literal["length", "none"] = Field(
         "length",
         description="share of a pair in its region's force: by its length of contact, or each in full",
     )
+    quadrature_spacing: float | None = quantity(
+        "m", 1e-6, 0.1, "distance_field reads depth about this far apart; without it a quarter of the thinnest part",
+        None,
+    )  # fmt: skip
+
+    @property
+    def is_field(self) -> bool:
+        """Whether depth is read at points in a distance field."""
+        return self.response == "distance_field"
+
+    @model_validator(mode="after")
+    def _one_law(self) -> "Contact":
+        needed, field = "stiffness_per_area" if self.is_field else "stiffness", self.is_field
+        viscous = self.law == "kelvin_voigt"
+        unused = {
+            "stiffness": field, "damping": field or not viscous, "stiffness_per_area": not field,
+            "damping_per_area": not field or not viscous, "quadrature_spacing": not field, "pair_weight": field,
+            "kdop": self.response != "kdop", "exponent": viscous, "dissipation": viscous,
+            "slip_speed": "friction" not in self.model_fields_set,
+        }  # fmt: skip
+        given = [key for key, wrong in unused.items() if wrong and key in self.model_fields_set]
+        if getattr(self, needed) is None:
+            unit = "N/m3" if field else "N/m"
+            rule = f"response {self.response} takes {needed} [{unit}]"
+            found = f"{given[0]} instead" if given else "nothing"
+            example = "1e6 (N/m3)" if field else "200.0 (N/m)"
+            raise broken((needed,), rule, found, f"Give for instance {needed} = {example}")
+        if given:
+            rule = f"{given[0]} has no meaning for response {self.response} and law {self.law}"
+            if given[0] == "slip_speed":
+                rule = "slip_speed has no meaning without friction"
+            raise broken((given[0],), rule, show(getattr(self, given[0])), "Remove it")
+        if self.kdop not in (6, 14, 26):
+            raise broken(("kdop",), "k must be 6, 14 or 26", self.kdop, "More axes fit tighter and cost as much")
+        return self
 
 
 class Solver(Settings):
@@ -296,9 +382,18 @@ class Solver(Settings):
     safety: float = quantity("1", 0.01, 1, "share of the stable limit that a substep uses", 0.95)
     substeps: int = quantity("1", 0, 100_000, "substeps of a communication step, 0 to follow the stable limit", 0)
     max_substeps: int = quantity("1", 1, 100_000, "substeps of a communication step above which it is refused", 1000)
-    detection_period: float = quantity("s", 1e-6, 1, "time between two collision detections", 0.001)
+    detection_period: float = quantity("s", 1e-6, 1, "longest time between two collision detections", 0.001)
+    detection: Literal["continuous", "discrete"] = Field(
+        "continuous",
+        description="whether steps are cut so that little moves between two detections, or only the period counts",
+    )
     max_pairs: int = quantity("1", 16, 1_000_000, "most intersecting triangle pairs of one contact", 1024)
-    integrator: Literal["symplectic_euler"] = Field("symplectic_euler", description="scheme in time")
+    integrator: Literal["symplectic_euler", "explicit_euler", "implicit_euler", "runge_kutta_4"] = Field(
+        "symplectic_euler", description="scheme in time"
+    )
+    energy_gain: float = quantity(
+        "1", 0, 1e6, "energy from nowhere above which a step is undone, over what it stores, moves and may find", 1.0
+    )
 
     @model_validator(mode="after")
     def _in_order(self) -> "Solver":
@@ -327,9 +422,10 @@ class Scene(Settings):
     description: str = Field("", max_length=1000, description="one sentence about the scene")
     solver: Solver = Field(Solver(), description="time steps and limits")
     motion: Motion = Field(Motion(), description="motion between communication points")
-    tissue: tuple[Tissue, ...] = Field(min_length=1, strict=False, description="deformable surfaces")
+    tissue: tuple[Tissue, ...] = Field((), strict=False, description="deformable surfaces")
     instrument: tuple[Instrument, ...] = Field((), strict=False, description="rigid bodies whose poses are inputs")
-    contact: tuple[Contact, ...] = Field((), strict=False, description="pairs of tissue and instrument that may touch")
+    rigid: tuple[Rigid, ...] = Field((), strict=False, description="rigid bodies that do not move")
+    contact: tuple[Contact, ...] = Field((), strict=False, description="pairs of objects that may touch")
     _source: bytes = PrivateAttr(b"")
     _folder: Path = PrivateAttr(Path())
     _place: str = PrivateAttr("scene")
@@ -349,56 +445,85 @@ class Scene(Settings):
         """The scene file's name, for messages."""
         return self._place
 
+    @property
+    def bodies(self) -> tuple[Instrument | Rigid, ...]:
+        """All that is rigid: the instruments, then the rigid bodies."""
+        return (*self.instrument, *self.rigid)
+
     @model_validator(mode="after")
     def _names_agree(self) -> "Scene":
-        self.__dict__["contact"] = tuple(self._resolved(i) for i in range(len(self.contact)))
-        pairs = [(c.tissue, c.instrument) for c in self.contact]
-        for i, pair in enumerate(pairs):
-            if pair in pairs[:i]:
-                rule, found = "a tissue and an instrument may be one contact only", " and ".join(pair)
-                raise broken(("contact", i), rule, found, f"Remove this or contact[{pairs.index(pair)}]")
-        groups: dict[str, Sequence[Tissue | Instrument | Contact]] = {
-            "tissue": self.tissue,
-            "instrument": self.instrument,
-            "contact": self.contact,
-        }
+        if not self.tissue and not self.instrument:
+            raise broken((), "a scene must have a tissue or an instrument", "neither", "Declare a [[tissue]]")
         seen: dict[str, str] = {}
-        for kind, group in groups.items():
-            for i, thing in enumerate(group):
-                if thing.name in RESERVED:
-                    rule = f"{' and '.join(RESERVED)} are names of the FMU's own variables"
-                    raise broken((kind, i, "name"), rule, show(thing.name), "Choose another name")
-                if thing.name in seen:
-                    rule = "every tissue, instrument and contact must have a name of its own"
-                    found = f"{show(thing.name)}, also the name of {seen[thing.name]}"
-                    raise broken((kind, i, "name"), rule, found, "Give it another name")
-                seen[thing.name] = f"{kind}[{i}]"
+        for kind in ("tissue", "instrument", "rigid"):
+            for i, thing in enumerate(getattr(self, kind)):
+                self._own_name(seen, kind, i, thing.name)
+        self.__dict__["contact"] = tuple(self._resolved(i) for i in range(len(self.contact)))
+        for i, contact in enumerate(self.contact):
+            self._own_name(seen, "contact", i, contact.name)
+            before = [set(c.between) for c in self.contact[:i]]
+            if set(contact.between) in before:
+                rule, found = "two objects may be one contact only", " and ".join(contact.between)
+                raise broken(
+                    ("contact", i), rule, found, f"Remove this or contact[{before.index(set(contact.between))}]"
+                )
+        grasped = {name for c in self.contact for name in c.between if c.between[0] in {t.name for t in self.tissue}}
+        for i, instrument in enumerate(self.instrument):
+            if instrument.grasp is not None and instrument.name not in grasped:
+                rule = "a grasper must be in contact with a tissue"
+                way_out = f'Declare a [[contact]] with between = ["TISSUE", "{instrument.name}"], or remove grasp'
+                raise broken(("instrument", i, "grasp"), rule, "no such contact", way_out)
         return self
 
+    @staticmethod
+    def _own_name(seen: dict[str, str], kind: str, i: int, name: str) -> None:
+        if name in RESERVED:
+            rule = f"{' and '.join(RESERVED)} are names of the FMU's own variables"
+            raise broken((kind, i, "name"), rule, show(name), "Choose another name")
+        if name in seen:
+            rule = "every object and contact must have a name of its own"
+            raise broken(
+                (kind, i, "name"), rule, f"{show(name)}, also the name of {seen[name]}", "Give it another name"
+            )
+        seen[name] = f"{kind}[{i}]"
+
     def _resolved(self, i: int) -> Contact:
-        """Contact i with the names filled in that the file may leave out."""
+        """Contact i with its objects in order and with the names filled in that the file may leave out."""
         contact = self.contact[i]
-        names = {"tissue": [t.name for t in self.tissue], "instrument": [t.name for t in self.instrument]}
-        chosen = {}
-        for kind, known in names.items():
-            word = getattr(contact, kind)
-            other = "instrument" if kind == "tissue" else "tissue"
-            if not word and len(known) != 1:
-                rule = f"a contact must name its {kind} unless the scene declares exactly one"
-                way_out = (
-                    f"Name one of {', '.join(known)}" if known else f"Declare an [[{kind}]], or remove the contact"
-                )
-                raise broken(("contact", i, kind), rule, f"{len(known)} declared", way_out)
-            if word and word not in known:
-                if word in names[other]:
-                    rule = f"a contact joins tissue and instrument; {other}–{other} contact is not built yet"
-                    raise broken(("contact", i, kind), rule, f"{show(word)}, which is a {other}", nearest(word, known))
-                rule = f"the {kind} must be declared"
-                raise broken(("contact", i, kind), rule, show(word), nearest(word, known, what=f"{kind}s"))
-            chosen[kind] = word or known[0]
-        alone = len(self.contact) == 1
-        name = contact.name or ("contact" if alone else f"{chosen['instrument']}_{chosen['tissue']}")
-        return contact.model_copy(update={**chosen, "name": name})
+        kinds = {t.name: "tissue" for t in self.tissue}
+        kinds |= {t.name: "instrument" for t in self.instrument} | {r.name: "rigid" for r in self.rigid}
+        between: Sequence[str] = contact.between
+        if not between:
+            if len(self.tissue) != 1 or len(self.instrument) != 1:
+                rule = "a contact must name its two objects unless the scene has one tissue and one instrument"
+                found = f"{len(self.tissue)} tissues and {len(self.instrument)} instruments"
+                raise broken(("contact", i, "between"), rule, found, f"Name two of {', '.join(kinds) or 'its objects'}")
+            between = (self.tissue[0].name, self.instrument[0].name)
+        if len(between) != 2 or between[0] == between[1]:
+            rule = "a contact is between two objects"
+            way_out = "A tissue's contact with itself is not modelled" if len(between) == 2 else "Name two"
+            raise broken(("contact", i, "between"), rule, show(between), way_out)
+        for name in between:
+            if name not in kinds:
+                rule = "the objects of a contact must be declared"
+                raise broken(("contact", i, "between"), rule, show(name), nearest(name, kinds, what="objects"))
+        order = ("tissue", "instrument", "rigid")
+        first, second = sorted(between, key=lambda name: order.index(kinds[name]))
+        pair = (kinds[first], kinds[second])
+        if pair in (("tissue", "tissue"), ("rigid", "rigid")):
+            why = "is not built yet" if pair[0] == "tissue" else "is none, as neither moves"
+            rule = f"a contact joins an instrument or a rigid body with something; {pair[0]}–{pair[1]} contact {why}"
+            raise broken(("contact", i, "between"), rule, show(between), "Remove the contact")
+        if pair != ("tissue", "instrument") and not contact.is_field:
+            rule = f"the response of a contact of {pair[0]} and {pair[1]} must be distance_field"
+            raise broken(("contact", i, "response"), rule, show(contact.response), "Leave response out")
+        if contact.side is not None and (pair[0] != "tissue" or not contact.is_field):
+            rule = "side is for a tissue's distance_field contact"
+            raise broken(("contact", i, "side"), rule, show(contact.side), "Remove it")
+        chosen: dict[str, object] = {"between": (first, second)}
+        chosen["name"] = contact.name or ("contact" if len(self.contact) == 1 else f"{second}_{first}")
+        chosen["side"] = contact.side or ("both" if kinds[second] == "rigid" else "outer")
+        return contact.model_copy(update=chosen)
 
 
 def parse_scene(source: bytes, folder: Path, place: str = "scene") -> Scene:

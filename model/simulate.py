@@ -6,7 +6,8 @@ import numpy as np
 
 from tissue_contact.assembly import Assembly
 from tissue_contact.errors import WorkError
-from tissue_contact.kernels.layout import Index, Model, Real, Scratch, State, pack
+from tissue_contact.kernels.bundle import Bundle
+from tissue_contact.kernels.layout import Index, Model, Real, Scratch, State
 from tissue_contact.kernels.step import initialize, step
 from tissue_contact.status import OK, STATUSES
 
@@ -26,33 +27,39 @@ class Instance:
 
     def __init__(self, assembly: Assembly) -> None:
         self._assembly = assembly
+        self._model, self._state, self._scratch = (
+            Bundle(bundle) for bundle in (assembly.model, assembly.state, assembly.scratch)
+        )
         self.model: Model = assembly.model
-        self.state, self._index, self._real = pack(assembly.state)
-        self.scratch: Scratch
-        self.scratch, _, _ = pack(assembly.scratch)
+        self.state: State = self._state.fields
+        self.scratch: Scratch = self._scratch.fields
         self.parameters = assembly.parameters.copy()
         self.inputs = assembly.inputs.copy()
         self.outputs = assembly.outputs.copy()
 
+    def _arguments(self) -> tuple[Bundle, Real, Bundle, Real]:
+        return self._model, self.parameters, self._state, self.inputs
+
     def copy_state(self) -> tuple[Index, Real]:
         """Copy of everything that persists, for `restore_state`."""
-        return self._index.copy(), self._real.copy()
+        return self._state.index.copy(), self._state.real.copy()
 
     def restore_state(self, saved: tuple[Index, Real]) -> None:
         """Return to a state that `copy_state` gave."""
-        self._index[:], self._real[:] = saved
+        self._state.index[:], self._state.real[:] = saved
 
     def initialize(self) -> None:
         """Put the instruments at the poses of the inputs; outputs follow. Raises WorkError."""
-        self._index[:], self._real[:] = self._assembly.state_index, self._assembly.state_real
-        self._done(initialize(self.model, self.parameters, self.state, self.inputs, self.outputs, self.scratch))
+        self.restore_state((self._assembly.state_index, self._assembly.state_real))
+        self._done(initialize(*self._arguments(), self.outputs, self._scratch))
 
     def step(self, h: float) -> None:
         """One communication step h [s]. Raises WorkError; the state from before the step then stays."""
-        saved = self.copy_state()
-        status = step(self.model, self.parameters, self.state, self.inputs, h, self.outputs, self.scratch)
+        saved, given = self.copy_state(), self.outputs.copy()
+        status = step(*self._arguments(), h, self.outputs, self._scratch)
         if status != OK:
             self.restore_state(saved)
+            self.outputs[:] = given
         self._done(status)
 
     def _done(self, status: int) -> None:

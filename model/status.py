@@ -12,6 +12,7 @@ PARAMETER_RANGE = 3
 TOO_MANY_PAIRS = 4
 SUBSTEP_BUDGET = 5
 NONFINITE_STATE = 6
+ENERGY_GAIN = 7
 
 
 class Status(NamedTuple):
@@ -68,5 +69,12 @@ STATUSES = (
         False,
         "the step would have left a non-finite state (first at tissue vertex %g, value %g): the state from before "
         "the step stays. Lower the stiffness or damping, or lower solver.safety",
+    ),
+    Status(
+        ENERGY_GAIN,
+        "energy_gain",
+        True,
+        "the step would have gained %g J from nowhere, and %g J are allowed: the state from before the step stays. "
+        "Take a smaller communication step, lower solver.safety or the stiffness, or raise solver.energy_gain",
     ),
 )

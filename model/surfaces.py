@@ -8,7 +8,7 @@ import numpy as np
 from tissue_contact import geometry, shapes
 from tissue_contact.errors import InputError
 from tissue_contact.geometry import FloatArray, Surface
-from tissue_contact.scene import Instrument, Tissue
+from tissue_contact.scene import Instrument, Rigid, Tissue
 
 
 def rotation_matrix(quaternion: tuple[float, ...]) -> FloatArray:
@@ -23,12 +23,19 @@ def rotation_matrix(quaternion: tuple[float, ...]) -> FloatArray:
     )
 
 
-def surface_of(body: Tissue | Instrument, folder: Path, place: str = "scene") -> Surface:
-    """Surface of a tissue in the world, or of an instrument in its body frame [m].
+def placement(body: Tissue | Instrument | Rigid) -> tuple[FloatArray, FloatArray]:
+    """Rotation and shift [m] of a mesh into the world (tissue) or into the body frame, which is a rigid body's own."""
+    if isinstance(body, Rigid):
+        return np.eye(3), np.zeros(3)
+    return rotation_matrix(body.rotation), np.array(body.position if isinstance(body, Tissue) else body.offset)
+
+
+def surface_of(body: Tissue | Instrument | Rigid, folder: Path, place: str = "scene") -> Surface:
+    """Surface of a tissue in the world, or of an instrument or a rigid body in its body frame [m].
 
     Parameters
     ----------
-    body : Tissue or Instrument
+    body : Tissue, Instrument or Rigid
         What the scene declares.
     folder : Path
         Where relative mesh paths begin.
@@ -42,7 +49,7 @@ def surface_of(body: Tissue | Instrument, folder: Path, place: str = "scene") ->
 
     """
     purpose: Literal["tissue", "instrument"] = "tissue" if isinstance(body, Tissue) else "instrument"
-    here = f"{place}, {purpose}[{body.name}]"
+    here = f"{place}, {'rigid' if isinstance(body, Rigid) else purpose}[{body.name}]"
     try:
         if body.shape is not None:
             arguments = body.shape.model_dump(exclude={"kind"})
@@ -59,8 +66,9 @@ def surface_of(body: Tissue | Instrument, folder: Path, place: str = "scene") ->
             )
     except InputError as error:
         raise InputError(f"{here}, {error.place}", error.rule, error.value, error.way_out) from error
-    shift = body.position if isinstance(body, Tissue) else body.offset
-    return _placed(surface, rotation_matrix(body.rotation), np.array(shift))
+    if body.flip:
+        surface = Surface(surface.vertices, surface.triangles[:, ::-1], surface.part, surface.axes)
+    return _placed(surface, *placement(body))
 
 
 def _placed(surface: Surface, rotation: FloatArray, shift: FloatArray) -> Surface:

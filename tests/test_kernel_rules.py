@@ -10,8 +10,8 @@ import pytest
 import tissue_contact.kernels
 
 FOLDER = Path(tissue_contact.kernels.__file__).parent
-ARRANGING = {"__init__", "compiled", "layout"}  # run in Python only, to set up the compiler and the arrays
-DECORATORS = {"kernel", "inner"}
+ARRANGING = {"__init__", "bundle", "compiled", "layout"}  # run in Python only, to set up the compiler and the arrays
+DECORATORS = {"kernel", "inner", "pointwise"}
 MODULES = {"math", "typing", "numpy", "numpy.typing", "tissue_contact.status"}
 BUILTINS = {"abs", "bool", "float", "int", "len", "max", "min", "range"}
 NUMPY = {"abs", "float32", "float64", "fmax", "fmin", "int32", "int64", "sqrt", "uint32", "uint64", "uint8"}
@@ -46,7 +46,7 @@ def _module(tree: ast.Module) -> Iterator[tuple[int, str]]:
     for node in tree.body:
         if isinstance(node, ast.FunctionDef):
             if [ast.unparse(d) for d in node.decorator_list] not in [[d] for d in DECORATORS]:
-                yield node.lineno, f"{node.name} must have one decorator, kernel or inner"
+                yield node.lineno, f"{node.name} must have one decorator of {', '.join(sorted(DECORATORS))}"
             yield from (found for part in node.body for found in _statement(part))
         elif isinstance(node, ast.Import):
             yield from ((node.lineno, f"imports {a.name}") for a in node.names if a.name not in MODULES)
@@ -134,8 +134,8 @@ def test_a_breach_is_found(body: str, what: str) -> None:
         ("import scipy\n", "imports scipy"),
         ("from tissue_contact.scene import Scene\n", "imports tissue_contact.scene"),
         ("from .vectors import dot\n", "imports .vectors"),
-        ("def f():\n    return 1\n", "f must have one decorator, kernel or inner"),
-        ("@njit\ndef f():\n    return 1\n", "f must have one decorator, kernel or inner"),
+        ("def f():\n    return 1\n", "f must have one decorator of inner, kernel, pointwise"),
+        ("@njit\ndef f():\n    return 1\n", "f must have one decorator of inner, kernel, pointwise"),
         ("COUNTS = [0]\n", "has a constant that can vary"),
         ("count = 0\n", "has a name that is no constant"),
         ("for k in range(3):\n    pass\n", "has a For beside its kernels"),

@@ -19,7 +19,7 @@ stiffness = 100.0
 [[instrument]]
 shape = { kind = "sphere", radius = 0.003, triangles = 128 }
 [[contact]]
-stiffness = 100.0
+stiffness_per_area = 1e6
 """
 
 

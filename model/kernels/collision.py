@@ -9,7 +9,9 @@ from tissue_contact.kernels.compiled import inner, kernel
 from tissue_contact.kernels.tritri import alone
 from tissue_contact.kernels.vectors import dot
 
-OOBB, HULL = 0, 1  # responses: depth by the support of a part's box, or of its convex hull
+# What Model.contact_response says: depth by the support of a polytope (box, k-DOP or hull), as the thesis has it, by
+# the intersecting triangles alone, or in a distance field, at points of the tissue or of another body.
+POLYTOPE, LITERAL, PRIMITIVE, FIELD, BODIES = 0, 1, 2, 3, 4
 
 
 @kernel
@@ -113,10 +115,10 @@ def pair_point(model, u, t1, e1, e2, n, nn):
     segment; where rounding leaves nothing of the segment, the nearest point of the triangle, with length 0; where the
     instrument triangle does not cross the plane but for rounding, its middle takes the segment's place.
     """
-    a, b, c = model.instrument_a[u], model.instrument_b[u], model.instrument_c[u]
-    i1 = (model.instrument_x[a], model.instrument_y[a], model.instrument_z[a])
-    i2 = (model.instrument_x[b], model.instrument_y[b], model.instrument_z[b])
-    i3 = (model.instrument_x[c], model.instrument_y[c], model.instrument_z[c])
+    a, b, c = model.body_a[u], model.body_b[u], model.body_c[u]
+    i1 = (model.body_x[a], model.body_y[a], model.body_z[a])
+    i2 = (model.body_x[b], model.body_y[b], model.body_z[b])
+    i3 = (model.body_x[c], model.body_y[c], model.body_z[c])
     s1 = dot(n, (i1[0] - t1[0], i1[1] - t1[1], i1[2] - t1[2]))
     s2 = dot(n, (i2[0] - t1[0], i2[1] - t1[1], i2[2] - t1[2]))
     s3 = dot(n, (i3[0] - t1[0], i3[1] - t1[1], i3[2] - t1[2]))

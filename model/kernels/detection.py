@@ -10,44 +10,13 @@ first pass, one change of frame for every vertex.
 
 from tissue_contact.kernels.collision import facing, pair_point
 from tissue_contact.kernels.compiled import inner
+from tissue_contact.kernels.occupancy import locate
+from tissue_contact.kernels.side import REJECTED, latch
 from tissue_contact.kernels.tritri import INTERSECT, intersect
 from tissue_contact.kernels.vectors import cross, dot
 from tissue_contact.status import OK, TOO_MANY_PAIRS
 
 EMPTY, SOLO, POTENTIAL = 0, 1, 2  # classes of cells, places in scratch.cells
-FACING, REJECTED = 1, 2  # latched side of a tissue triangle, 0: not touched
-SIDE_HYSTERESIS = 0.1  # share of the part's reach by which a latched side must be contradicted before it turns
-
-
-@inner
-def locate(x, y, z, first, last, r, p, low, high, body_x, body_y, body_z, outcode):
-    """Change vertices to the body frame and mark the faces of the box low, high that each lies beyond.
-
-    Returns
-    -------
-    int
-        The faces that all the vertices lie beyond; not 0: nothing can touch.
-    """
-    common = 63
-    for v in range(first, last):
-        dx, dy, dz = x[v] - p[0], y[v] - p[1], z[v] - p[2]
-        bx = r[0] * dx + r[3] * dy + r[6] * dz
-        by = r[1] * dx + r[4] * dy + r[7] * dz
-        bz = r[2] * dx + r[5] * dy + r[8] * dz
-        body_x[v] = bx
-        body_y[v] = by
-        body_z[v] = bz
-        code = (
-            (1 if bx < low[0] else 0)
-            | (2 if bx > high[0] else 0)
-            | (4 if by < low[1] else 0)
-            | (8 if by > high[1] else 0)
-            | (16 if bz < low[2] else 0)
-            | (32 if bz > high[2] else 0)
-        )
-        outcode[v] = code
-        common &= code
-    return common
 
 
 @inner
@@ -64,9 +33,9 @@ def _corners(model, scratch, t):
     """Corners of a tissue triangle in the body frame."""
     a, b, c = model.triangle_a[t], model.triangle_b[t], model.triangle_c[t]
     return (
-        (scratch.body_x[a], scratch.body_y[a], scratch.body_z[a]),
-        (scratch.body_x[b], scratch.body_y[b], scratch.body_z[b]),
-        (scratch.body_x[c], scratch.body_y[c], scratch.body_z[c]),
+        (scratch.local_x[a], scratch.local_y[a], scratch.local_z[a]),
+        (scratch.local_x[b], scratch.local_y[b], scratch.local_z[b]),
+        (scratch.local_x[c], scratch.local_y[c], scratch.local_z[c]),
     )
 
 
@@ -94,18 +63,18 @@ def _hits(model, scratch, i, t, t1, t2, t3):
                         continue
                     scratch.stamp[u] = t + 1
                     if (
-                        model.instrument_low[3 * u] > high[0]
-                        or model.instrument_low[3 * u + 1] > high[1]
-                        or model.instrument_low[3 * u + 2] > high[2]
-                        or model.instrument_high[3 * u] < low[0]
-                        or model.instrument_high[3 * u + 1] < low[1]
-                        or model.instrument_high[3 * u + 2] < low[2]
+                        model.body_triangle_low[3 * u] > high[0]
+                        or model.body_triangle_low[3 * u + 1] > high[1]
+                        or model.body_triangle_low[3 * u + 2] > high[2]
+                        or model.body_triangle_high[3 * u] < low[0]
+                        or model.body_triangle_high[3 * u + 1] < low[1]
+                        or model.body_triangle_high[3 * u + 2] < low[2]
                     ):
                         continue
-                    a, b, c = model.instrument_a[u], model.instrument_b[u], model.instrument_c[u]
-                    i1 = (model.instrument_x[a], model.instrument_y[a], model.instrument_z[a])
-                    i2 = (model.instrument_x[b], model.instrument_y[b], model.instrument_z[b])
-                    i3 = (model.instrument_x[c], model.instrument_y[c], model.instrument_z[c])
+                    a, b, c = model.body_a[u], model.body_b[u], model.body_c[u]
+                    i1 = (model.body_x[a], model.body_y[a], model.body_z[a])
+                    i2 = (model.body_x[b], model.body_y[b], model.body_z[b])
+                    i3 = (model.body_x[c], model.body_y[c], model.body_z[c])
                     if intersect(t1, t2, t3, i1, i2, i3, scratch.expansion) == INTERSECT:
                         k_sorted = n
                         while k_sorted > 0 and scratch.hit[k_sorted - 1] > u:
@@ -136,11 +105,8 @@ def _latch(model, scratch, latched, n, t1, t2, t3):
             t1[1] + w[1] * e1[1] + w[2] * e2[1],
             t1[2] + w[1] * e1[2] + w[2] * e2[2],
         )
-        total += facing(p, outer, model.instrument_part[u], model.part_axis, model.part_reach)
-    total /= n
-    if latched != 0 and abs(total) < SIDE_HYSTERESIS:
-        return latched
-    return FACING if total > 0.0 else REJECTED
+        total += facing(p, outer, model.body_part[u], model.part_axis, model.part_reach)
+    return latch(latched, total / n)
 
 
 @inner
@@ -160,7 +126,7 @@ def detect(model, state, scratch, contact, r, p):
         Status. The pairs are each there once, ordered by tissue triangle, then instrument triangle; their number and
         that of the rejected ones, and the latched sides, go to the state.
     """
-    tissue, i = model.contact_tissue[contact], model.contact_instrument[contact]
+    tissue, i = model.contact_tissue[contact], model.contact_body[contact]
     nx, ny, nz = model.grid_size[3 * i], model.grid_size[3 * i + 1], model.grid_size[3 * i + 2]
     edge = model.grid_cell[i]
     low = (model.grid_low[3 * i], model.grid_low[3 * i + 1], model.grid_low[3 * i + 2])
@@ -175,12 +141,12 @@ def detect(model, state, scratch, contact, r, p):
         p,
         low,
         high,
-        scratch.body_x,
-        scratch.body_y,
-        scratch.body_z,
+        scratch.local_x,
+        scratch.local_y,
+        scratch.local_z,
         scratch.outcode,
     )
-    capacity = scratch.pair_triangle.size
+    capacity = model.contact_touch_start[contact + 1] - model.contact_touch_start[contact]
     sides = model.contact_side_start[contact]
     first, last = model.tissue_triangle_start[tissue], model.tissue_triangle_start[tissue + 1]
     if common != 0 and state.pairs[contact] == 0 and state.rejected[contact] == 0:
@@ -191,7 +157,7 @@ def detect(model, state, scratch, contact, r, p):
         for k in range(sides, sides + last - first):
             state.side[k] = 0
         return OK
-    for k in range(model.instrument_triangle_start[i], model.instrument_triangle_start[i + 1]):
+    for k in range(model.body_triangle_start[i], model.body_triangle_start[i + 1]):
         scratch.stamp[k] = 0
     for k in range(nx * ny * nz):
         scratch.cell_stamp[k] = 0

@@ -16,24 +16,24 @@ import math
 
 import numpy as np
 
-from tissue_contact.kernels.compiled import inner, kernel
+from tissue_contact.kernels.compiled import inner, pointwise
 from tissue_contact.kernels.vectors import dot
 
 NONE, CAPSULE, BOX, CYLINDER, GRID = 0, 1, 2, 3, 4
 FAR = 1e30  # [m] phi where a part has no field: beyond every depth and gap, its square still finite
 
 
-@inner
+@pointwise
 def _three(value, i):
     return value[i], value[i + 1], value[i + 2]
 
 
-@inner
+@pointwise
 def _less(a, b):
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@inner
+@pointwise
 def _capsule(value, i, p):
     a, b, r = _three(value, i), _three(value, i + 3), value[i + 6]
     w, d = _less(p, a), _less(b, a)
@@ -45,12 +45,12 @@ def _capsule(value, i, p):
     return length - r, g * x, g * y, g * z
 
 
-@inner
+@pointwise
 def _sign(x):
     return 1.0 if x > 0.0 else (-1.0 if x < 0.0 else 0.0)
 
 
-@inner
+@pointwise
 def _box(value, i, p):
     w = _less(p, _three(value, i))
     a, b, c = _three(value, i + 3), _three(value, i + 6), _three(value, i + 9)
@@ -72,7 +72,7 @@ def _box(value, i, p):
     )
 
 
-@inner
+@pointwise
 def _cylinder(value, i, p):
     a, b, r = _three(value, i), _three(value, i + 3), value[i + 6]
     w, d = _less(p, a), _less(b, a)
@@ -95,14 +95,14 @@ def _cylinder(value, i, p):
     return phi, e * x + f * d[0], e * y + f * d[1], e * z + f * d[2]
 
 
-@inner
+@pointwise
 def _weights(t):
     """Quadratic B-splines of three nodes at t from the middle one, -1/2 to 1/2 spacings, and their slopes."""
     a, b = 0.5 - t, 0.5 + t
     return (0.5 * a * a, 0.75 - t * t, 0.5 * b * b), (-a, -2.0 * t, b)
 
 
-@inner
+@pointwise
 def _grid(value, i, size, low, h, p):
     nx, ny, nz = size
     x, y, z = (p[0] - low[0]) / h + 0.5, (p[1] - low[1]) / h + 0.5, (p[2] - low[2]) / h + 0.5
@@ -131,8 +131,21 @@ def _grid(value, i, size, low, h, p):
     return phi, dx / h, dy / h, dz / h
 
 
-@kernel
-def part_distance(model, part, p):
+@inner
+def fields_of(model):
+    """The arrays of all distance fields, as `part_distance` and `body_distance` want them."""
+    return (
+        model.part_field,
+        model.field_start,
+        model.field_value,
+        model.field_size,
+        model.field_low,
+        model.field_spacing,
+    )
+
+
+@pointwise
+def part_distance(fields, part, p):
     """Signed distance [m] of a point from one part, and its gradient (the outer normal, of unit length but for a grid).
 
     The gradient is 0 where there is none to choose: on the axis of a capsule, at the middle of a box or a cylinder.
@@ -140,8 +153,8 @@ def part_distance(model, part, p):
 
     Parameters
     ----------
-    model : Model
-        Of it ``part_field``, ``field_start``, ``field_value``, ``field_size``, ``field_low``, ``field_spacing``.
+    fields : tuple of six arrays
+        From `fields_of`.
     part : int
         Which part.
     p : tuple of three
@@ -152,28 +165,29 @@ def part_distance(model, part, p):
     phi, gx, gy, gz : float
         `FAR` with gradient 0 where the part has no field or its grid does not reach.
     """
-    kind, i = model.part_field[part], model.field_start[part]
+    kinds, start, value, sizes, lows, spacings = fields
+    kind, i = kinds[part], start[part]
     if kind == GRID:
-        size, low = _three(model.field_size, 3 * part), _three(model.field_low, 3 * part)
-        return _grid(model.field_value, i, size, low, model.field_spacing[part], p)
+        size, low = _three(sizes, 3 * part), _three(lows, 3 * part)
+        return _grid(value, i, size, low, spacings[part], p)
     if kind == CAPSULE:
-        return _capsule(model.field_value, i, p)
+        return _capsule(value, i, p)
     if kind == BOX:
-        return _box(model.field_value, i, p)
+        return _box(value, i, p)
     if kind == CYLINDER:
-        return _cylinder(model.field_value, i, p)
+        return _cylinder(value, i, p)
     return FAR, 0.0, 0.0, 0.0
 
 
-@kernel
-def body_distance(model, first_part, last_part, p):
+@pointwise
+def body_distance(fields, first_part, last_part, p):
     """Signed distance [m] of a point from the union of the parts first_part to last_part - 1: the least of theirs.
 
     Exact outside; where parts overlap, the depth below the nearest surface of one part. Results as `part_distance`.
     """
     out = (FAR, 0.0, 0.0, 0.0)
     for part in range(first_part, last_part):
-        found = part_distance(model, part, p)
+        found = part_distance(fields, part, p)
         if found[0] < out[0]:
             out = found
     return out

@@ -17,45 +17,65 @@ Index = npt.NDArray[np.uint32]
 
 
 class Model(NamedTuple):
-    """Everything that never changes after assembly: topology, rest shape, instrument bodies.
+    """Everything that never changes after assembly: topology, rest shape, rigid bodies.
 
-    Counts: V tissue vertices, S springs, T tissue triangles, n tissues; I instruments, P convex parts, W instrument
-    vertices, U instrument triangles; K contact pairs; Q probes. Tissues, and instruments, lie one after the other;
-    ``*_start`` gives where each begins, with one entry more than there are. A triangle's corners are indices into
-    all tissue (or all instrument) vertices.
+    Counts: V tissue vertices, S springs, T tissue triangles, N tissue points, n tissues; B bodies, that is I
+    instruments and then the rigid bodies that do not move, P parts of bodies, W body vertices, U body triangles, M
+    sample points; K contacts; G holds (a grasper and a tissue), J graspers; Q probes. Tissues, and bodies, lie one
+    after the other; ``*_start`` gives where each begins, with one entry more than there are. A triangle's corners are
+    indices into all tissue (or all body) vertices. What no contact or effect of the scene asks for is empty.
     """
 
     # -- tissue
     tissue_vertex_start: Index  # shape [n + 1]
     tissue_spring_start: Index  # shape [n + 1]
     tissue_triangle_start: Index  # shape [n + 1]
+    tissue_contacts: Index  # shape [n], contacts and holds of a tissue
     spring_i: Index  # shape [S], first vertex
     spring_j: Index  # shape [S], second vertex
     triangle_a: Index  # shape [T]
     triangle_b: Index  # shape [T]
     triangle_c: Index  # shape [T]
-    # -- instruments
-    instrument_part_start: Index  # shape [I + 1]
-    instrument_triangle_start: Index  # shape [I + 1]
-    instrument_a: Index  # shape [U]
-    instrument_b: Index  # shape [U]
-    instrument_c: Index  # shape [U]
-    instrument_part: Index  # shape [U], the convex part that owns the triangle
-    grid_size: Index  # shape [3 I], cells along each axis of the body frame
-    grid_occupied: Index  # shape [I], cells that hold a triangle of the instrument
-    grid_cell_start: Index  # shape [I + 1], where the cells of an instrument begin in cell_start
-    cell_start: Index  # shape [cells + I], where the triangles of a cell begin in cell_triangle; one end mark each
-    cell_triangle: Index  # shape [entries], instrument triangles that touch a cell
-    # -- contact pairs, probes, solver
-    contact_tissue: Index  # shape [K]
-    contact_instrument: Index  # shape [K]
-    contact_response: Index  # shape [K], how depth is measured: OOBB or HULL of `collision`
+    triangle_point_start: Index  # shape [T + 1], where the points of a triangle begin; if a field reads any tissue
+    # -- bodies
+    instruments: Index  # shape [1], I
+    body_part_start: Index  # shape [B + 1]
+    body_triangle_start: Index  # shape [B + 1], only of bodies whose triangles are looked for
+    body_sample_start: Index  # shape [B + 1], only of bodies that another body's field reads
+    body_a: Index  # shape [U]
+    body_b: Index  # shape [U]
+    body_c: Index  # shape [U]
+    body_part: Index  # shape [U], the part that owns the triangle
+    grid_size: Index  # shape [3 B], cells along each axis of the body frame
+    grid_occupied: Index  # shape [B], cells that hold a triangle of the body
+    grid_cell_start: Index  # shape [B + 1], where the cells of a body begin in cell_start
+    cell_start: Index  # shape [cells + B], where the triangles of a cell begin in cell_triangle; one end mark each
+    cell_triangle: Index  # shape [entries], body triangles that touch a cell
+    part_field: Index  # shape [P], kind of a part's distance field, see `field`
+    field_start: Index  # shape [P + 1], where the numbers of a field begin in field_value
+    field_size: Index  # shape [3 P], nodes of a sampled field along each axis
+    # -- contacts, holds, probes, solver
+    contact_tissue: Index  # shape [K], 0 and not used between bodies
+    contact_body: Index  # shape [K], the body that has the field or the triangles
+    contact_other: Index  # shape [K], the body whose points are read; used between bodies only
+    contact_response: Index  # shape [K], POLYTOPE to BODIES of `collision`
+    contact_law: Index  # shape [K], KELVIN_VOIGT or HUNT_CROSSLEY of `laws`
+    contact_both: Index  # shape [K], 1: both sides of the tissue count
     contact_weighted: Index  # shape [K], 1: the pairs of a region share one force; 0: each pair has its own
-    contact_side_start: Index  # shape [K + 1], where a pair's latched sides begin
-    hull_start: Index  # shape [P + 1], where the hull vertices of a part begin; empty parts where no contact asks
-    hull_edge_start: Index  # shape [H + 1], where the neighbours of a hull vertex begin in hull_neighbour
-    hull_neighbour: Index  # shape [hull edges x 2], hull vertices at the other end of an edge
+    contact_side_start: Index  # shape [K + 1], where a contact's latched sides begin
+    contact_touch_start: Index  # shape [K + 1], where a contact's touches begin
+    contact_near_start: Index  # shape [K + 1], where a contact's list of what is near begins
+    contact_hull: Index  # shape [K], polytope of the first part of the contact's body
+    hull_start: Index  # shape [polytopes + 1], where the vertices of a polytope begin
+    hull_edge_start: Index  # shape [H + 1], where the neighbours of a polytope's vertex begin in hull_neighbour
+    hull_neighbour: Index  # shape [edges x 2], vertices at the other end of an edge
+    grasp_body: Index  # shape [G]
+    grasp_tissue: Index  # shape [G]
+    grasp_grasper: Index  # shape [G], which of the J graspers
+    grasp_start: Index  # shape [G + 1], where a hold's anchors begin
     probe_triangle: Index  # shape [Q]
+    integrator: Index  # shape [1], SYMPLECTIC_EULER to RUNGE_KUTTA_4 of `stability`
+    continuous: Index  # shape [1], 1: steps and detections follow the motion
     substeps_fixed: Index  # shape [1], 0: automatic
     substeps_max: Index  # shape [1]
     # -- tissue
@@ -68,102 +88,164 @@ class Model(NamedTuple):
     spring_rest: Real  # [m], shape [S], rest length
     spring_stiffness: Real  # [N/m], shape [S]
     spring_damping: Real  # [N·s/m], shape [S]
+    rest_area: Real  # [m²], shape [T where a tissue resists a change of area, else 0]
+    rest_edges: Real  # [m²], shape [T where a tissue resists a change of area or volume, else 0], squared edges, summed
     tissue_rate: Real  # [N/m/m²], shape [n], largest eigenvalue of the springs' Laplacian over node_area
+    tissue_damping_rate: Real  # [N·s/m/m²], shape [n], the same of their dampers
+    tissue_area_rate: Real  # [1/m²], shape [n], the same of the area's resistance, for a stiffness of 1 N/m
+    tissue_volume_rate: Real  # [1/m], shape [n], the same of the volume's resistance, for a stiffness of 1 Pa
+    tissue_volume_bend: Real  # [1/m], shape [n], the same of a pressure within of 1 Pa
+    tissue_volume: Real  # [m³], shape [n], at rest; 1 where it is not resisted
     tissue_node_area_min: Real  # [m²], shape [n], smallest node_area of a free vertex
+    point_a: Real  # [1], shape [N], areal coordinates of the points at which fields are read
+    point_b: Real  # [1], shape [N]
+    point_c: Real  # [1], shape [N]
+    point_area: Real  # [m²], shape [N], area at rest that a point stands for
     gravity: Real  # [m/s²], shape [3]
-    # -- instruments, all in the body frame
-    instrument_x: Real  # [m], shape [W]
-    instrument_y: Real  # [m], shape [W]
-    instrument_z: Real  # [m], shape [W]
-    instrument_low: Real  # [m], shape [3 U], least corner of a triangle's box
-    instrument_high: Real  # [m], shape [3 U], greatest corner of a triangle's box
+    # -- bodies, all in the body frame
+    body_x: Real  # [m], shape [W]
+    body_y: Real  # [m], shape [W]
+    body_z: Real  # [m], shape [W]
+    body_triangle_low: Real  # [m], shape [3 U], least corner of a triangle's box
+    body_triangle_high: Real  # [m], shape [3 U], greatest corner of a triangle's box
+    body_low: Real  # [m], shape [3 B], least corner of a body's box
+    body_high: Real  # [m], shape [3 B], greatest corner of a body's box
+    body_radius: Real  # [m], shape [B], largest distance from the frame's origin
     part_centre: Real  # [m], shape [3 P], centre of the object-oriented bounding box
     part_axes: Real  # [1], shape [9 P], its three unit axes, one after the other
     part_half: Real  # [m], shape [3 P], its half extents along them
-    hull_x: Real  # [m], shape [H], vertices of the convex hulls of the parts
+    hull_x: Real  # [m], shape [H], vertices of the polytopes
     hull_y: Real  # [m], shape [H]
     hull_z: Real  # [m], shape [H]
     part_axis: Real  # [m], shape [6 P], shaft axis: tip end, handle end
     part_reach: Real  # [m], shape [P], how far the mark lies towards the handle from the axis point at the contact
-    grid_low: Real  # [m], shape [3 I], least corner of the cell grid
-    grid_cell: Real  # [m], shape [I], edge of a cell
-    # -- probes, solver
+    grid_low: Real  # [m], shape [3 B], least corner of the cell grid
+    grid_cell: Real  # [m], shape [B], edge of a cell
+    field_value: Real  # numbers of the distance fields, see `field`
+    field_low: Real  # [m], shape [3 P], first node of a sampled field
+    field_spacing: Real  # [m], shape [P], between its nodes
+    sample_x: Real  # [m], shape [M], points of a body that another body's field reads
+    sample_y: Real  # [m], shape [M]
+    sample_z: Real  # [m], shape [M]
+    sample_area: Real  # [m²], shape [M]
+    # -- contacts, holds, probes, solver
+    contact_reach: Real  # [m], shape [K], smallest half extent of the contact's bodies
+    contact_depth: Real  # [m], shape [K], greatest depth of the body's field
+    contact_slip_speed: Real  # [m/s], shape [K]
+    grasp_centre: Real  # [m], shape [3 G], middle of the jaws in the body frame
+    grasp_radius: Real  # [m], shape [G]
+    grasp_close: Real  # [1], shape [G], the jaws close below it
+    grasp_open: Real  # [1], shape [G], the jaws open above it
     probe_weight: Real  # [1], shape [3 Q], areal coordinates
     safety: Real  # [1], shape [1], share of the stable limit that is used
     detection_period: Real  # [s], shape [1], time between two collision detections
+    energy_gain: Real  # [1], shape [1], factor on the energy that a step may gain
 
 
 class State(NamedTuple):
     """Everything that persists from step to step, contact memory included. A copy of it is the whole state.
 
-    A *touch* is a tissue triangle with its intersecting pairs with one part of an instrument. M is the capacity for
-    pairs of one contact; contact k has the entries from k M of every touch_ array.
+    A *touch* is a tissue triangle with its intersecting pairs with one part of a body. H is the room for touches of
+    all contacts, R that for what is near, A that for anchors; L counts parameters.
     """
 
-    pairs: Index  # shape [K], intersecting pairs of the last detection
-    rejected: Index  # shape [K], pairs that it rejected as passed through
+    pairs: Index  # shape [K], what the last detection found
+    rejected: Index  # shape [K], what of it was rejected as passed through
     side: Index  # shape [T of each contact], latched side: 0 not touched, 1 facing, 2 rejected
     touches: Index  # shape [K]
-    regions: Index  # shape [K], parts of the instrument that touch
-    touch_triangle: Index  # shape [K M], tissue triangle
-    touch_part: Index  # shape [K M], part of the instrument
-    touch_support: Index  # shape [K M], hull vertex that was deepest at the last look
+    regions: Index  # shape [K], parts of the body that touch
+    touch_triangle: Index  # shape [H], tissue triangle
+    touch_part: Index  # shape [H], part of the body
+    touch_support: Index  # shape [H], vertex of polytope or body that was deepest at the last look
+    near_count: Index  # shape [K]
+    near: Index  # shape [R], triangles, or points of a body, near a field
+    closed: Index  # shape [G], 1: the jaws are closed
+    held: Index  # shape [G], anchors
+    anchor_vertex: Index  # shape [A]
     x: Real  # [m], shape [V]
     y: Real  # [m], shape [V]
     z: Real  # [m], shape [V]
     vx: Real  # [m/s], shape [V]
     vy: Real  # [m/s], shape [V]
     vz: Real  # [m/s], shape [V]
-    touch_share: Real  # [1], shape [K M], share of the force of the part; the raw number of pairs if unweighted
-    touch_a: Real  # [1], shape [K M], areal coordinates of the point of collision
-    touch_b: Real  # [1], shape [K M]
-    touch_c: Real  # [1], shape [K M]
-    touch_nx: Real  # [1], shape [K M], inner normal of the triangle when it was found, world frame
-    touch_ny: Real  # [1], shape [K M]
-    touch_nz: Real  # [1], shape [K M]
+    touch_share: Real  # [1], shape [H], share of the force of the part; the raw number of pairs if unweighted
+    touch_a: Real  # [1], shape [H], areal coordinates of the point of collision
+    touch_b: Real  # [1], shape [H]
+    touch_c: Real  # [1], shape [H]
+    touch_nx: Real  # [1], shape [H], inner normal of the triangle when it was found, world frame
+    touch_ny: Real  # [1], shape [H]
+    touch_nz: Real  # [1], shape [H]
     touch_load: Real  # [1/m²], shape [K], largest share of a vertex over its area
-    pose: Real  # [m, 1], shape [7 I], position and unit quaternion w, x, y, z at the last communication point
+    deepest: Real  # [m], shape [K], when forces were last evaluated
+    tissue_speed: Real  # [m/s], shape [K], greatest speed of the contact's tissue at the last detection
+    anchor_x: Real  # [m], shape [A], place of an anchor in the body frame
+    anchor_y: Real  # [m], shape [A]
+    anchor_z: Real  # [m], shape [A]
+    held_area: Real  # [m²], shape [G], of all that was held when the jaws closed
+    pose: Real  # [m, 1], shape [7 B], position and unit quaternion w, x, y, z at the last communication point
+    tuned: Real  # shape [L], parameters of the last step
     since_detection: Real  # [s], shape [1]
     dissipated: Real  # [J], shape [1]
-    work: Real  # [J], shape [1], done by the instruments on the tissue
+    work: Real  # [J], shape [1], done by the bodies on the tissue and on each other
+    stored: Real  # [J], shape [1], energy of tissue, contacts and holds at the last communication point
     energy_start: Real  # [J], shape [1], stored energy when the work began to be counted
 
 
 class Scratch(NamedTuple):
     """Room to work in; meaningless between calls, but for ``detail`` after a status other than OK.
 
-    M is the capacity for pairs; C the most cells that an instrument's grid has.
+    M is the most touches of a contact; C the most cells that a body's grid has; E the points that an implicit step may
+    press at once, 1 without such a step.
     """
 
-    outcode: Index  # shape [V], which faces of the instrument's box a vertex lies beyond, a bit a face
-    stamp: Index  # shape [U], 1 + the last tissue triangle that met an instrument triangle
+    outcode: Index  # shape [V], which faces of the body's box a vertex lies beyond, a bit a face
+    stamp: Index  # shape [U], 1 + the last tissue triangle that met a body triangle
     cell_stamp: Index  # shape [C], 1 where a tissue triangle was met in a cell
     cells: Index  # shape [3], empty, solo and potentially colliding cells of the last detection
-    hit: Index  # shape [U], instrument triangles that intersect one tissue triangle
+    hit: Index  # shape [U], body triangles that intersect one tissue triangle
     pair_triangle: Index  # shape [M], tissue triangle of a pair
-    pair_instrument: Index  # shape [M], instrument triangle of a pair
+    pair_instrument: Index  # shape [M], body triangle of a pair
+    active: Index  # shape [1], points in use of those below
+    active_a: Index  # shape [E], corners of the tissue triangle
+    active_b: Index  # shape [E]
+    active_c: Index  # shape [E]
     detail: Real  # shape [2], figures for the message of a status
     expansion: Real  # shape [256], exact arithmetic
     fx: Real  # [N], shape [V], force on a vertex
     fy: Real  # [N], shape [V]
     fz: Real  # [N], shape [V]
-    body_x: Real  # [m], shape [V], tissue vertices in the body frame
-    body_y: Real  # [m], shape [V]
-    body_z: Real  # [m], shape [V]
+    local_x: Real  # [m], shape [V], tissue vertices in the body frame
+    local_y: Real  # [m], shape [V]
+    local_z: Real  # [m], shape [V]
     loss: Real  # [J], shape [V], dissipated at a vertex within the step
-    vertex_share: Real  # [1], shape [V], share of the force that a vertex takes
+    vertex_share: Real  # [1], shape [V where triangles are looked for, else 0], share of the force that a vertex takes
     touch_length: Real  # [m], shape [M], length of the intersection curve within the triangle
     touch_pairs: Real  # [1], shape [M]
     part_length: Real  # [m], shape [P], length of the intersection curve of a part
     part_touches: Real  # [1], shape [P]
-    pose: Real  # [m, 1], shape [7 I], pose of each instrument within the step
-    motion: Real  # [m/s, rad/s], shape [6 I], velocity and angular velocity of each instrument
-    contact: Real  # shape [12 I], see `response`: force, torque, depth, regions, weighted point
-    pulse: Real  # [N·s], shape [3 I], impulse on each instrument within the step
-    unit_x: Real  # [1], shape [S where a spring is damped, else 0], direction of a spring
+    pose: Real  # [m, 1], shape [7 I], pose of each instrument that the inputs ask for
+    motion: Real  # [m/s, rad/s], shape [6 B], velocity and angular velocity of each body
+    contact: Real  # shape [12 B], what each body feels, see `slots`
+    pulse: Real  # [N·s], shape [3 B], impulse on each body within the step
+    unit_x: Real  # [1], shape [S where a spring is damped or a step is implicit, else 0], direction of a spring
     unit_y: Real  # [1], shape as unit_x
     unit_z: Real  # [1], shape as unit_x
-    solve: Real  # [m/s], shape [9 V where a spring is damped, else 0], vectors of the conjugate gradients
+    solve: Real  # shape [12 V where a spring is damped or a step is implicit, else 0], vectors of a linear solve
+    start: Real  # [m, m/s], shape [6 V for Runge–Kutta and implicit Euler, else 0], at the beginning of a substep
+    slope: Real  # shape as start, sums of slopes, or the change of the velocities
+    along: Real  # [N/m], shape [S for implicit Euler, else 0], tangent stiffness along a spring
+    across: Real  # [N/m], shape as along, across it
+    volume_gradient: Real  # [m²], shape [3 V for implicit Euler, else 0]
+    inverse_mass: Real  # [1/kg], shape [V for implicit Euler, else 0]
+    loss_now: Real  # [J], shape as inverse_mass
+    active_wa: Real  # [1], shape [E], areal coordinates of a pressed point
+    active_wb: Real  # [1], shape [E]
+    active_wc: Real  # [1], shape [E]
+    active_x: Real  # [1], shape [E], direction of its push
+    active_y: Real  # [1], shape [E]
+    active_z: Real  # [1], shape [E]
+    active_normal: Real  # [kg], shape [E], see `contact.linearise`
+    active_tangential: Real  # [kg], shape [E]
 
 
 Bundle = TypeVar("Bundle", Model, State, Scratch)

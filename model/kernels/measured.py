@@ -4,15 +4,11 @@ Built into an FMU by the benchmark only. No time passes in the repeats, so they 
 """
 
 from tissue_contact.kernels.compiled import kernel
-from tissue_contact.kernels.slots import INSTRUMENT_OUTPUTS, POSE, SUBSTEPS
-from tissue_contact.kernels.step import (
-    _advance_all,
-    _detect_all,
-    _respond_all,
-    _tissue_forces,
-    initialize,
-)
+from tissue_contact.kernels.forces import clear_contacts, contact_forces, detect_all, tissue_forces
+from tissue_contact.kernels.slots import BODY_OUTPUTS, POSE, SUBSTEPS
+from tissue_contact.kernels.step import initialize
 from tissue_contact.kernels.step import step as plain_step
+from tissue_contact.kernels.symplectic import symplectic_euler
 
 __all__ = ["initialize", "step"]
 
@@ -24,12 +20,13 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
     """`tissue_contact.kernels.step.step`, then the repeats."""
     n = parameters.size - 3
     status = plain_step(model, parameters, state, inputs, h, outputs, scratch)
-    substeps = int(outputs[INSTRUMENT_OUTPUTS * (inputs.size // POSE) + SUBSTEPS])
+    substeps = int(outputs[BODY_OUTPUTS * (state.pose.size // POSE) + SUBSTEPS])
     for _ in range(int(parameters[n])):
-        _detect_all(model, state, scratch, 0.0)
+        detect_all(model, state, scratch, 0.0)
     for _ in range(int(parameters[n + 1]) * substeps):
-        _respond_all(model, parameters, state, scratch, 0.0, 0.0)
+        clear_contacts(state, scratch)
+        contact_forces(model, parameters, state, scratch, 0.0, 0.0, 0.0)
     for _ in range(int(parameters[n + 2]) * substeps):
-        _tissue_forces(model, parameters, state, scratch)
-        _advance_all(model, parameters, state, scratch, 0.0)
+        tissue_forces(model, parameters, state, scratch)
+        symplectic_euler(model, parameters, state, scratch, 0.0)
     return status

@@ -1,8 +1,9 @@
 """Where each quantity lies in the vectors of parameters, inputs and outputs.
 
-Parameters: `TISSUE_PARAMETERS` for each tissue, then `CONTACT_PARAMETERS` for each contact pair. Inputs: a pose for
-each instrument. Outputs: `INSTRUMENT_OUTPUTS` for each instrument, then the energies, the solver's counters and three
-coordinates for each probe.
+Parameters: `TISSUE_PARAMETERS` for each tissue, `CONTACT_PARAMETERS` for each contact, `GRASP_PARAMETERS` for each
+grasper. Inputs: a pose for each instrument, then the jaw of each grasper. Outputs: `BODY_OUTPUTS` for each instrument
+and then for each rigid body, the energies, the solver's counters, three coordinates for each probe and one count for
+each grasper.
 """
 
 # parameters of one tissue
@@ -12,26 +13,37 @@ AREAL_DENSITY = 2
 SUPPORT_STIFFNESS = 3
 SUPPORT_DAMPING = 4
 DRAG = 5
-TISSUE_PARAMETERS = 6
+NONLINEARITY = 6
+AREA_STIFFNESS = 7
+VOLUME_STIFFNESS = 8
+TISSUE_PARAMETERS = 9
 
-# parameters of one contact pair
+# parameters of one contact: of the whole contact, or per area where depth is read in a distance field
 CONTACT_STIFFNESS = 0
-CONTACT_DAMPING = 1
-CONTACT_PARAMETERS = 2
+CONTACT_DAMPING = 1  # damping of Kelvin-Voigt, dissipation of Hunt-Crossley
+CONTACT_EXPONENT = 2
+CONTACT_FRICTION = 3
+CONTACT_PARAMETERS = 4
+
+# parameters of one grasper
+GRASP_STIFFNESS = 0
+GRASP_DAMPING = 1
+GRASP_SLIP_FORCE = 2
+GRASP_PARAMETERS = 3
 
 # inputs of one instrument: position, unit quaternion w, x, y, z
 POSE = 7
 
-# outputs of one instrument
+# outputs of one instrument or rigid body
 FORCE = 0
 TORQUE = 3
 MEAN_FORCE = 6
 DEPTH = 9
 CONTACT_POINT = 10
 CONTACTS = 13
-INSTRUMENT_OUTPUTS = 14
+BODY_OUTPUTS = 14
 
-# outputs after those of the instruments
+# outputs after those of the bodies
 ENERGY_KINETIC = 0
 ENERGY_ELASTIC = 1
 ENERGY_CONTACT = 2
@@ -43,7 +55,7 @@ REJECTED_PAIRS = 7
 PAIRS = 8
 COMMON_OUTPUTS = 9
 
-# what the response gathers for one instrument in scratch.contact
+# what the contacts gather for one body in scratch.contact
 GATHER_FORCE = 0
 GATHER_TORQUE = 3
 GATHER_DEPTH = 6

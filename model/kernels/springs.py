@@ -1,4 +1,4 @@
-"""Forces of the mass-spring tissue and their implicit damping (thesis 3.2)."""
+"""Forces and energies of the springs (thesis 3.2)."""
 
 import math
 
@@ -24,15 +24,47 @@ def add_springs(first, last, i, j, rest, stiffness, scale, x, y, z, fx, fy, fz):
 
 
 @inner
-def spring_energy(first, last, i, j, rest, stiffness, scale, x, y, z):
-    """Elastic energy [J] of springs first to last, sum of k (|x_j - x_i| - l)^2 / 2."""
+def add_stiffening_springs(first, last, i, j, rest, stiffness, scale, nonlinearity, x, y, z, fx, fy, fz):
+    """Add the forces of springs that stiffen: k (1 + b e²) in the place of k, with strain e = |x_j - x_i| / l - 1."""
+    for s in range(first, last):
+        a, b = i[s], j[s]
+        dx, dy, dz = x[b] - x[a], y[b] - y[a], z[b] - z[a]
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        if length > 0.0:
+            strain = length / rest[s] - 1.0
+            q = scale * stiffness[s] * (1.0 + nonlinearity * strain * strain) * (1.0 - rest[s] / length)
+            px, py, pz = q * dx, q * dy, q * dz
+            fx[a] += px
+            fy[a] += py
+            fz[a] += pz
+            fx[b] -= px
+            fy[b] -= py
+            fz[b] -= pz
+
+
+@inner
+def largest_strain(first, last, i, j, rest, x, y, z):
+    """Largest e² of springs first to last."""
+    most = 0.0
+    for s in range(first, last):
+        a, b = i[s], j[s]
+        dx, dy, dz = x[b] - x[a], y[b] - y[a], z[b] - z[a]
+        strain = math.sqrt(dx * dx + dy * dy + dz * dz) / rest[s] - 1.0
+        most = max(most, strain * strain)
+    return most
+
+
+@inner
+def spring_energy(first, last, i, j, rest, stiffness, scale, nonlinearity, x, y, z):
+    """Elastic energy [J] of springs first to last, sum of k l² (e²/2 + b e⁴/4)."""
     total = 0.0
     for s in range(first, last):
         a, b = i[s], j[s]
         dx, dy, dz = x[b] - x[a], y[b] - y[a], z[b] - z[a]
-        e = math.sqrt(dx * dx + dy * dy + dz * dz) - rest[s]
-        total += stiffness[s] * e * e
-    return 0.5 * scale * total
+        longer = math.sqrt(dx * dx + dy * dy + dz * dz) - rest[s]
+        strain = longer / rest[s]
+        total += stiffness[s] * longer * longer * (0.5 + 0.25 * nonlinearity * strain * strain)
+    return scale * total
 
 
 @inner
@@ -46,3 +78,29 @@ def directions(first, last, i, j, x, y, z, ux, uy, uz):
         ux[s] = f * dx
         uy[s] = f * dy
         uz[s] = f * dz
+
+
+@inner
+def damp_product(first, last, s_first, s_last, i, j, damping, scale, ux, uy, uz, free, p, q, n):
+    """q = D p for the dampers of the springs, each acting along its unit vector; fixed vertices stay at rest.
+
+    ``p`` and ``q`` hold the n x, then the n y, then the n z components.
+    """
+    for v in range(first, last):
+        q[v] = 0.0
+        q[n + v] = 0.0
+        q[2 * n + v] = 0.0
+    for s in range(s_first, s_last):
+        a, b = i[s], j[s]
+        rate = (p[b] - p[a]) * ux[s] + (p[n + b] - p[n + a]) * uy[s] + (p[2 * n + b] - p[2 * n + a]) * uz[s]
+        f = scale * damping[s] * rate
+        q[a] -= f * ux[s]
+        q[n + a] -= f * uy[s]
+        q[2 * n + a] -= f * uz[s]
+        q[b] += f * ux[s]
+        q[n + b] += f * uy[s]
+        q[2 * n + b] += f * uz[s]
+    for v in range(first, last):
+        q[v] *= free[v]
+        q[n + v] *= free[v]
+        q[2 * n + v] *= free[v]

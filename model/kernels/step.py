@@ -1,55 +1,39 @@
-"""One communication step, read from top to bottom: check, choose the substeps, run them, account, give outputs.
+"""One communication step, read from top to bottom: check, jaws, substeps, account, give outputs.
 
 The entries `initialize` and `step` are what Python, the FMU and every study call.
 """
 
 import math
 
+from tissue_contact.kernels.collision import FIELD
 from tissue_contact.kernels.compiled import inner, kernel
-from tissue_contact.kernels.detection import detect
-from tissue_contact.kernels.integration import advance, damp_springs, drift, undamped_limit
-from tissue_contact.kernels.response import respond
-from tissue_contact.kernels.slots import (
-    AREAL_DENSITY,
-    COMMON_OUTPUTS,
-    CONTACT_DAMPING,
-    CONTACT_PARAMETERS,
-    CONTACT_POINT,
-    CONTACT_STIFFNESS,
-    CONTACTS,
-    DAMPING_SCALE,
-    DEPTH,
-    DRAG,
-    ENERGY_BALANCE,
-    ENERGY_CONTACT,
-    ENERGY_DISSIPATED,
-    ENERGY_ELASTIC,
-    ENERGY_KINETIC,
-    ENERGY_WORK,
-    FORCE,
-    GATHER,
-    GATHER_DEPTH,
-    GATHER_FORCE,
-    GATHER_POINT,
-    GATHER_REGIONS,
-    GATHER_SIZE,
-    GATHER_TORQUE,
-    INSTRUMENT_OUTPUTS,
-    MEAN_FORCE,
-    PAIRS,
-    POSE,
-    REJECTED_PAIRS,
-    STIFFNESS_SCALE,
-    SUBSTEPS,
-    SUPPORT_DAMPING,
-    SUPPORT_STIFFNESS,
-    TISSUE_PARAMETERS,
-    TORQUE,
+from tissue_contact.kernels.explicit import explicit_euler, runge_kutta
+from tissue_contact.kernels.forces import (
+    add_pulse,
+    body_forces,
+    clear_contacts,
+    contact_forces,
+    detect_all,
+    pose_of,
+    tissue_forces,
 )
-from tissue_contact.kernels.springs import add_springs, spring_energy
-from tissue_contact.kernels.touch import find_touches
-from tissue_contact.kernels.vectors import rotation, turn_between, turned
+from tissue_contact.kernels.grasp import close, open_jaws, slide
+from tissue_contact.kernels.implicit import implicit_euler
+from tissue_contact.kernels.outputs import give
+from tissue_contact.kernels.slots import BODY_OUTPUTS, ENERGY_BALANCE, POSE
+from tissue_contact.kernels.stability import (
+    EXPLICIT_EULER,
+    IMPLICIT_EULER,
+    RUNGE_KUTTA_4,
+    contact_slope,
+    motion_rate,
+    stable_substep,
+    travel,
+)
+from tissue_contact.kernels.symplectic import symplectic_euler
+from tissue_contact.kernels.vectors import turn_between
 from tissue_contact.status import (
+    ENERGY_GAIN,
     NONFINITE_INPUT,
     NONFINITE_STATE,
     OK,
@@ -59,10 +43,11 @@ from tissue_contact.status import (
 )
 
 QUATERNION_NORM_MIN = 1e-6
+ROUNDING = 1e-12  # of the energies that a balance is the difference of, and [J], that rounding may gain
 
 
 @inner
-def _check(parameters, inputs, scratch):
+def _check(model, parameters, inputs, scratch):
     """Refuse what no step can be made of; the instruments' poses, normalised, go to scratch.pose."""
     for k in range(inputs.size):
         if not math.isfinite(inputs[k]):
@@ -72,7 +57,7 @@ def _check(parameters, inputs, scratch):
         if not (math.isfinite(parameters[k]) and parameters[k] >= 0.0):
             scratch.detail[0], scratch.detail[1] = k, parameters[k]
             return PARAMETER_RANGE
-    for i in range(inputs.size // POSE):
+    for i in range(model.instruments[0]):
         q = POSE * i + 3
         norm = math.sqrt(
             inputs[q] * inputs[q]
@@ -91,30 +76,53 @@ def _check(parameters, inputs, scratch):
 
 
 @inner
-def stable_substep(model, parameters, state):
-    """Largest stable substep [s], over all the tissues.
+def _settle(state, scratch):
+    """The poses of the inputs are those of the last communication point now."""
+    for k in range(scratch.pose.size):
+        state.pose[k] = scratch.pose[k]
 
-    omega^2 is bounded by the springs' largest eigenvalue plus the support plus the contact stiffness, had one vertex
-    to bear all of it for every part of the instrument, or what it bears now where pairs are not weighted. Where a
-    contact is damped its stiffness counts twice: its damper, implicit by itself, is taken at the velocity before the
-    springs' kick, and the limit omega dt = sqrt(2 (2 + z) / (1 + z)) falls to sqrt(2) for large z = dt c G.
-    """
-    limit = math.inf
-    tissues = model.tissue_rate.size
-    for n in range(tissues):
-        own = TISSUE_PARAMETERS * n
-        density = parameters[own + AREAL_DENSITY]
-        square = parameters[own + STIFFNESS_SCALE] * model.tissue_rate[n] + parameters[own + SUPPORT_STIFFNESS]
-        for k in range(model.contact_tissue.size):
-            if model.contact_tissue[k] == n:
-                pair = TISSUE_PARAMETERS * tissues + CONTACT_PARAMETERS * k
-                i = model.contact_instrument[k]
-                parts = int(model.instrument_part_start[i + 1]) - int(model.instrument_part_start[i])
-                load = max(parts / model.tissue_node_area_min[n], state.touch_load[k])
-                count = 2.0 if parameters[pair + CONTACT_DAMPING] > 0.0 else 1.0
-                square += count * parameters[pair + CONTACT_STIFFNESS] * load
-        limit = min(limit, undamped_limit(square / density))
-    return limit
+
+@inner
+def _move(model, state, scratch, h):
+    """Velocities with which the instruments get to the poses of the inputs in a time h; rigid bodies stand still."""
+    for i in range(model.instruments[0]):
+        p, m = POSE * i, 6 * i
+        for k in range(3):
+            scratch.motion[m + k] = (scratch.pose[p + k] - state.pose[p + k]) / h
+        turn = turn_between(
+            (state.pose[p + 3], state.pose[p + 4], state.pose[p + 5], state.pose[p + 6]),
+            (scratch.pose[p + 3], scratch.pose[p + 4], scratch.pose[p + 5], scratch.pose[p + 6]),
+        )
+        scratch.motion[m + 3] = turn[0] / h
+        scratch.motion[m + 4] = turn[1] / h
+        scratch.motion[m + 5] = turn[2] / h
+
+
+@inner
+def _work_jaws(model, parameters, state, scratch, inputs):
+    """Close and open the jaws as the inputs say, at the last communication point."""
+    for g in range(model.grasp_body.size):
+        jaw = inputs[POSE * model.instruments[0] + model.grasp_grasper[g]]
+        r, p = pose_of(state, scratch, model.grasp_body[g], 0.0)
+        if state.closed[g] == 0 and jaw < model.grasp_close[g]:
+            state.closed[g] = 1
+            close(model, state, g, r, p)
+        elif state.closed[g] == 1 and jaw > model.grasp_open[g]:
+            state.closed[g] = 0
+            open_jaws(model, parameters, state, g, r, p)
+
+
+@inner
+def _tune(model, parameters, state, scratch, outputs):
+    """Where parameters were changed since the last step, take what that did to the stored energy as given."""
+    changed = False
+    for k in range(state.tuned.size):
+        changed = changed or state.tuned[k] != parameters[k]
+        state.tuned[k] = parameters[k]
+    if changed:
+        stored = give(model, parameters, state, scratch, 0.0, 0.0, outputs)
+        state.energy_start[0] += stored - state.stored[0]
+        state.stored[0] = stored
 
 
 @inner
@@ -122,7 +130,9 @@ def _substeps(model, parameters, state, h, scratch):
     """Number of substeps of a step h, 0 where the budget does not allow it."""
     if model.substeps_fixed[0] > 0:
         return int(model.substeps_fixed[0])
-    needed = math.ceil(h / (model.safety[0] * stable_substep(model, parameters, state)))
+    needed = math.ceil(h / (model.safety[0] * stable_substep(model, parameters, state, scratch, h)))
+    if model.continuous[0] == 1:
+        needed = max(needed, math.ceil(h * motion_rate(model, state, scratch, False)))
     if not needed <= model.substeps_max[0]:
         scratch.detail[0], scratch.detail[1] = needed, model.substeps_max[0]
         return 0
@@ -130,222 +140,54 @@ def _substeps(model, parameters, state, h, scratch):
 
 
 @inner
-def _pose(state, scratch, i, elapsed):
-    """Rotation matrix and position of instrument i, elapsed [s] after the last communication point."""
-    p, m = POSE * i, 6 * i
-    q = turned(
-        (state.pose[p + 3], state.pose[p + 4], state.pose[p + 5], state.pose[p + 6]),
-        (
-            elapsed * scratch.motion[m + 3],
-            elapsed * scratch.motion[m + 4],
-            elapsed * scratch.motion[m + 5],
-        ),
-    )
-    return rotation(q), (
-        state.pose[p] + elapsed * scratch.motion[m],
-        state.pose[p + 1] + elapsed * scratch.motion[m + 1],
-        state.pose[p + 2] + elapsed * scratch.motion[m + 2],
-    )
+def _substep(model, parameters, state, scratch, elapsed, dt):
+    """Advance all the tissues by dt, and count impulse, work and dissipation."""
+    scheme = model.integrator[0]
+    if scheme == RUNGE_KUTTA_4:
+        runge_kutta(model, parameters, state, scratch, elapsed, dt)
+    elif scheme == IMPLICIT_EULER:
+        implicit_euler(model, parameters, state, scratch, elapsed, dt)
+        add_pulse(scratch, dt)
+    else:
+        tissue_forces(model, parameters, state, scratch)
+        clear_contacts(state, scratch)
+        eased = 0.0 if scheme == EXPLICIT_EULER else dt
+        contact_forces(model, parameters, state, scratch, elapsed, eased, dt)
+        add_pulse(scratch, dt)
+        if scheme == EXPLICIT_EULER:
+            explicit_euler(model, parameters, state, scratch, dt)
+        else:
+            symplectic_euler(model, parameters, state, scratch, dt)
+    for g in range(model.grasp_body.size):
+        if state.held[g] > 0:
+            r, p = pose_of(state, scratch, model.grasp_body[g], elapsed + dt)
+            slide(model, parameters, state, g, r, p)
 
 
 @inner
-def _settle(state, scratch):
-    """The poses of the inputs are those of the last communication point now."""
-    for k in range(state.pose.size):
-        state.pose[k] = scratch.pose[k]
+def _clash(model, parameters, state, scratch, elapsed, dt):
+    """Count what rigid bodies do to each other within dt; the forces at its middle make the sums of second order."""
+    clear_contacts(state, scratch)
+    body_forces(model, parameters, state, scratch, elapsed + 0.5 * dt, dt)
+    add_pulse(scratch, dt)
 
 
 @inner
-def _detect_all(model, state, scratch, elapsed):
-    for k in range(model.contact_instrument.size):
-        r, p = _pose(state, scratch, model.contact_instrument[k], elapsed)
-        status = detect(model, state, scratch, k, r, p)
-        if status != OK:
-            return status
-        find_touches(model, state, scratch, k, r)
-    state.since_detection[0] = 0.0
-    return OK
+def _allowed_gain(model, parameters, state, scratch, h, work):
+    """Energy [J] from nowhere that a step may end with.
 
-
-@inner
-def _respond_all(model, parameters, state, scratch, elapsed, dt):
-    """Contact forces of all the pairs; the energy stored in them [J]."""
-    for k in range(scratch.contact.size):
-        scratch.contact[k] = 0.0
-    stored = 0.0
-    for k in range(model.contact_instrument.size):
-        if state.touches[k] > 0:
-            i = model.contact_instrument[k]
-            r, p = _pose(state, scratch, i, elapsed)
-            m = scratch.motion[6 * i : 6 * i + 6]
-            stored += respond(model, parameters, state, scratch, k, r, p, (m[0], m[1], m[2]), (m[3], m[4], m[5]), dt)
-    return stored
-
-
-@inner
-def _tissue_forces(model, parameters, state, scratch):
-    for v in range(state.x.size):
-        scratch.fx[v] = 0.0
-        scratch.fy[v] = 0.0
-        scratch.fz[v] = 0.0
-    for n in range(model.tissue_rate.size):
-        add_springs(
-            model.tissue_spring_start[n],
-            model.tissue_spring_start[n + 1],
-            model.spring_i,
-            model.spring_j,
-            model.spring_rest,
-            model.spring_stiffness,
-            parameters[TISSUE_PARAMETERS * n + STIFFNESS_SCALE],
-            state.x,
-            state.y,
-            state.z,
-            scratch.fx,
-            scratch.fy,
-            scratch.fz,
-        )
-
-
-@inner
-def _advance_all(model, parameters, state, scratch, dt):
-    for n in range(model.tissue_rate.size):
-        own = TISSUE_PARAMETERS * n
-        first, last = model.tissue_vertex_start[n], model.tissue_vertex_start[n + 1]
-        density = parameters[own + AREAL_DENSITY]
-        drag = (parameters[own + DRAG] + parameters[own + SUPPORT_DAMPING]) / density
-        damped = scratch.solve.size > 0 and parameters[own + DAMPING_SCALE] > 0.0
-        advance(
-            first,
-            last,
-            dt,
-            0.0 if damped else dt,
-            1.0 if damped else 1.0 / (1.0 + dt * drag),
-            density,
-            parameters[own + SUPPORT_STIFFNESS] / density,
-            model.gravity,
-            model.rest_x,
-            model.rest_y,
-            model.rest_z,
-            model.node_area,
-            model.node_free,
-            model.node_mobility,
-            scratch.fx,
-            scratch.fy,
-            scratch.fz,
-            state.x,
-            state.y,
-            state.z,
-            state.vx,
-            state.vy,
-            state.vz,
-            scratch.loss,
-            drag > 0.0 and not damped,
-        )
-        if damped:
-            damp_springs(
-                first,
-                last,
-                model.tissue_spring_start[n],
-                model.tissue_spring_start[n + 1],
-                dt,
-                density,
-                drag,
-                model.spring_i,
-                model.spring_j,
-                model.spring_damping,
-                parameters[own + DAMPING_SCALE],
-                state.x,
-                state.y,
-                state.z,
-                scratch.unit_x,
-                scratch.unit_y,
-                scratch.unit_z,
-                model.node_area,
-                model.node_free,
-                model.node_mobility,
-                state.vx,
-                state.vy,
-                state.vz,
-                scratch.solve,
-                scratch.loss,
-            )
-            drift(first, last, dt, state.x, state.y, state.z, state.vx, state.vy, state.vz)
-
-
-@inner
-def _tissue_energies(model, parameters, state):
-    """Kinetic and elastic energy [J] of the tissue; springs, support and weight are the elastic part."""
-    kinetic, elastic = 0.0, 0.0
-    g = model.gravity
-    for n in range(model.tissue_rate.size):
-        own = TISSUE_PARAMETERS * n
-        density, support = parameters[own + AREAL_DENSITY], parameters[own + SUPPORT_STIFFNESS]
-        elastic += spring_energy(
-            model.tissue_spring_start[n],
-            model.tissue_spring_start[n + 1],
-            model.spring_i,
-            model.spring_j,
-            model.spring_rest,
-            model.spring_stiffness,
-            parameters[own + STIFFNESS_SCALE],
-            state.x,
-            state.y,
-            state.z,
-        )
-        for v in range(model.tissue_vertex_start[n], model.tissue_vertex_start[n + 1]):
-            dx, dy, dz = state.x[v] - model.rest_x[v], state.y[v] - model.rest_y[v], state.z[v] - model.rest_z[v]
-            square = state.vx[v] * state.vx[v] + state.vy[v] * state.vy[v] + state.vz[v] * state.vz[v]
-            kinetic += 0.5 * density * model.node_area[v] * square
-            elastic += model.node_area[v] * (
-                0.5 * support * (dx * dx + dy * dy + dz * dz) - density * (g[0] * dx + g[1] * dy + g[2] * dz)
-            )
-    return kinetic, elastic
-
-
-@inner
-def _give(model, parameters, state, scratch, h, substeps, outputs):
-    """Fill the outputs for the end of the step: elapsed h after the last communication point, still in the state."""
-    contact = _respond_all(model, parameters, state, scratch, h, 0.0)
-    instruments = state.pose.size // POSE
-    for i in range(instruments):
-        o, c = INSTRUMENT_OUTPUTS * i, GATHER * i
-        for k in range(3):
-            outputs[o + FORCE + k] = scratch.contact[c + GATHER_FORCE + k]
-            outputs[o + TORQUE + k] = scratch.contact[c + GATHER_TORQUE + k]
-            outputs[o + MEAN_FORCE + k] = (
-                scratch.pulse[3 * i + k] / h if h > 0.0 else scratch.contact[c + GATHER_FORCE + k]
-            )
-            outputs[o + CONTACT_POINT + k] = (
-                scratch.contact[c + GATHER_POINT + k] / scratch.contact[c + GATHER_SIZE]
-                if scratch.contact[c + GATHER_SIZE] > 0.0
-                else 0.0
-            )
-        outputs[o + DEPTH] = scratch.contact[c + GATHER_DEPTH]
-        outputs[o + CONTACTS] = scratch.contact[c + GATHER_REGIONS]
-    o = INSTRUMENT_OUTPUTS * instruments
-    kinetic, elastic = _tissue_energies(model, parameters, state)
-    outputs[o + ENERGY_KINETIC] = kinetic
-    outputs[o + ENERGY_ELASTIC] = elastic
-    outputs[o + ENERGY_CONTACT] = contact
-    outputs[o + ENERGY_DISSIPATED] = state.dissipated[0]
-    outputs[o + ENERGY_WORK] = state.work[0]
-    outputs[o + ENERGY_BALANCE] = (
-        state.work[0] - state.dissipated[0] - (kinetic + elastic + contact - state.energy_start[0])
-    )
-    outputs[o + SUBSTEPS] = substeps
-    outputs[o + REJECTED_PAIRS] = 0.0
-    outputs[o + PAIRS] = 0.0
-    for k in range(state.pairs.size):
-        outputs[o + REJECTED_PAIRS] += state.rejected[k]
-        outputs[o + PAIRS] += state.pairs[k]
-    o += COMMON_OUTPUTS
-    for k in range(model.probe_triangle.size):
-        t = model.probe_triangle[k]
-        a, b, c = model.triangle_a[t], model.triangle_b[t], model.triangle_c[t]
-        wa, wb, wc = model.probe_weight[3 * k], model.probe_weight[3 * k + 1], model.probe_weight[3 * k + 2]
-        outputs[o + 3 * k] = wa * state.x[a] + wb * state.x[b] + wc * state.x[c]
-        outputs[o + 3 * k + 1] = wa * state.y[a] + wb * state.y[b] + wc * state.y[c]
-        outputs[o + 3 * k + 2] = wa * state.z[a] + wb * state.z[b] + wc * state.z[c]
+    What is stored and the work of the step, and for every contact what its spring holds at the depth of the thinnest
+    part and of the motion until a late detection finds it; times a factor of the scene, plus rounding.
+    """
+    found = 0.0
+    for k in range(model.contact_body.size):
+        depth = model.contact_reach[k] + travel(model, scratch, k, max(h, model.detection_period[0]))
+        stiffness, _ = contact_slope(model, parameters, state, k, depth)
+        area = 4.0 * depth * depth if model.contact_response[k] >= FIELD else 1.0
+        found += 0.5 * stiffness * area * depth * depth
+    size = abs(state.stored[0]) + abs(work)
+    rounding = ROUNDING * (1.0 + size + abs(state.work[0]) + state.dissipated[0])
+    return model.energy_gain[0] * (size + found) + rounding
 
 
 @kernel
@@ -354,21 +196,24 @@ def initialize(model, parameters, state, inputs, outputs, scratch):
 
     ``state`` must hold the start state; arguments and result as for `step`.
     """
-    status = _check(parameters, inputs, scratch)
+    status = _check(model, parameters, inputs, scratch)
     if status != OK:
         return status
     _settle(state, scratch)
     scratch.motion[:] = 0.0
-    status = _detect_all(model, state, scratch, 0.0)
+    status = detect_all(model, state, scratch, 0.0)
     if status != OK:
         return status
+    _work_jaws(model, parameters, state, scratch, inputs)
     state.work[0] = 0.0
     state.dissipated[0] = 0.0
     state.energy_start[0] = 0.0
-    _give(model, parameters, state, scratch, 0.0, 0.0, outputs)
+    for k in range(state.tuned.size):
+        state.tuned[k] = parameters[k]
     # What is stored before anything moved is where the balance starts from.
-    state.energy_start[0] = -outputs[INSTRUMENT_OUTPUTS * (state.pose.size // POSE) + ENERGY_BALANCE]
-    outputs[INSTRUMENT_OUTPUTS * (state.pose.size // POSE) + ENERGY_BALANCE] = 0.0
+    state.stored[0] = give(model, parameters, state, scratch, 0.0, 0.0, outputs)
+    state.energy_start[0] = state.stored[0]
+    outputs[BODY_OUTPUTS * (state.pose.size // POSE) + ENERGY_BALANCE] = 0.0
     return OK
 
 
@@ -393,41 +238,36 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
     int
         A code of `tissue_contact.status`.
     """
-    status = _check(parameters, inputs, scratch)
+    status = _check(model, parameters, inputs, scratch)
     if status != OK:
         return status
     scratch.motion[:] = 0.0
     scratch.pulse[:] = 0.0
     if h == 0.0:
-        _give(model, parameters, state, scratch, 0.0, 0.0, outputs)
+        give(model, parameters, state, scratch, 0.0, 0.0, outputs)
         return OK
+    balance = BODY_OUTPUTS * (state.pose.size // POSE) + ENERGY_BALANCE
+    _tune(model, parameters, state, scratch, outputs)
+    before, work = state.work[0] - state.dissipated[0] - (state.stored[0] - state.energy_start[0]), state.work[0]
+    _work_jaws(model, parameters, state, scratch, inputs)
+    _move(model, state, scratch, h)
     substeps = _substeps(model, parameters, state, h, scratch)
     if substeps == 0:
         return SUBSTEP_BUDGET
-    for i in range(state.pose.size // POSE):
-        p, m = POSE * i, 6 * i
-        for k in range(3):
-            scratch.motion[m + k] = (scratch.pose[p + k] - state.pose[p + k]) / h
-        turn = turn_between(
-            (state.pose[p + 3], state.pose[p + 4], state.pose[p + 5], state.pose[p + 6]),
-            (scratch.pose[p + 3], scratch.pose[p + 4], scratch.pose[p + 5], scratch.pose[p + 6]),
-        )
-        scratch.motion[m + 3] = turn[0] / h
-        scratch.motion[m + 4] = turn[1] / h
-        scratch.motion[m + 5] = turn[2] / h
     scratch.loss[:] = 0.0
     dt = h / substeps
     for n in range(substeps):
-        _tissue_forces(model, parameters, state, scratch)
-        _respond_all(model, parameters, state, scratch, n * dt, dt)
-        for i in range(state.pose.size // POSE):
-            for k in range(3):
-                scratch.pulse[3 * i + k] += dt * scratch.contact[GATHER * i + GATHER_FORCE + k]
-        _advance_all(model, parameters, state, scratch, dt)
+        _substep(model, parameters, state, scratch, n * dt, dt)
+        _clash(model, parameters, state, scratch, n * dt, dt)
         state.since_detection[0] += dt
+        due = model.detection_period[0]
+        if model.continuous[0] == 1:
+            # as far as the next substep may go and not beyond
+            rate = motion_rate(model, state, scratch, True)
+            due = min(due, 1.0 / rate - dt if rate > 0.0 else math.inf)
         # Half a substep of slack: the sum of the substeps only rounds to the period.
-        if state.since_detection[0] >= model.detection_period[0] - 0.5 * dt:
-            status = _detect_all(model, state, scratch, (n + 1) * dt)
+        if state.since_detection[0] >= due - 0.5 * dt:
+            status = detect_all(model, state, scratch, (n + 1) * dt)
             if status != OK:
                 return status
     for v in range(state.x.size):
@@ -436,6 +276,10 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
         if not math.isfinite(total):
             scratch.detail[0], scratch.detail[1] = v, total
             return NONFINITE_STATE
-    _give(model, parameters, state, scratch, h, substeps, outputs)
+    allowed = _allowed_gain(model, parameters, state, scratch, h, state.work[0] - work)
+    state.stored[0] = give(model, parameters, state, scratch, h, substeps, outputs)
+    if not before - outputs[balance] <= allowed:
+        scratch.detail[0], scratch.detail[1] = before - outputs[balance], allowed
+        return ENERGY_GAIN
     _settle(state, scratch)
     return OK

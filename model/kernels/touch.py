@@ -7,29 +7,43 @@ neither does the force. (The raw sum over pairs that the thesis implies grows wi
 ``pair_weight = "none"``: the force of a touch then counts once for every pair.)
 """
 
-from tissue_contact.kernels.collision import pair_point
+import math
+
+from tissue_contact.kernels.collision import PRIMITIVE, pair_point
 from tissue_contact.kernels.compiled import inner
 from tissue_contact.kernels.vectors import cross, dot, to_world
+
+
+@inner
+def _deepest(model, u, normal, best, height):
+    """Corner of body triangle u that lies deepest below a tissue plane, if below the best so far."""
+    for v in (model.body_a[u], model.body_b[u], model.body_c[u]):
+        h = normal[0] * model.body_x[v] + normal[1] * model.body_y[v] + normal[2] * model.body_z[v]
+        if h < height:
+            best, height = int(v), h
+    return best, height
 
 
 @inner
 def _gather(model, state, scratch, contact, first, r):
     """Make touches of the pairs of one contact; their count."""
     last = state.pairs[contact]
+    first_part = model.body_part_start[model.contact_body[contact]]
     n = 0
     k = 0
     while k < last:
         t = scratch.pair_triangle[k]
-        part = model.instrument_part[scratch.pair_instrument[k]]
+        part = model.body_part[scratch.pair_instrument[k]]
         a, b, c = model.triangle_a[t], model.triangle_b[t], model.triangle_c[t]
-        t1 = (scratch.body_x[a], scratch.body_y[a], scratch.body_z[a])
-        e1 = (scratch.body_x[b] - t1[0], scratch.body_y[b] - t1[1], scratch.body_z[b] - t1[2])
-        e2 = (scratch.body_x[c] - t1[0], scratch.body_y[c] - t1[1], scratch.body_z[c] - t1[2])
+        t1 = (scratch.local_x[a], scratch.local_y[a], scratch.local_z[a])
+        e1 = (scratch.local_x[b] - t1[0], scratch.local_y[b] - t1[1], scratch.local_z[b] - t1[2])
+        e2 = (scratch.local_x[c] - t1[0], scratch.local_y[c] - t1[1], scratch.local_z[c] - t1[2])
         normal = cross(e1, e2)
         nn = dot(normal, normal)
         length, wa, wb, wc = 0.0, 0.0, 0.0, 0.0
         plain_a, plain_b, plain_c, pairs = 0.0, 0.0, 0.0, 0.0
-        while k < last and scratch.pair_triangle[k] == t and model.instrument_part[scratch.pair_instrument[k]] == part:
+        deepest, height = 0, math.inf
+        while k < last and scratch.pair_triangle[k] == t and model.body_part[scratch.pair_instrument[k]] == part:
             w, piece = pair_point(model, scratch.pair_instrument[k], t1, e1, e2, normal, nn)
             length += piece
             wa += piece * w[0]
@@ -38,6 +52,8 @@ def _gather(model, state, scratch, contact, first, r):
             plain_a += w[0]
             plain_b += w[1]
             plain_c += w[2]
+            if model.contact_response[contact] == PRIMITIVE:
+                deepest, height = _deepest(model, scratch.pair_instrument[k], normal, deepest, height)
             pairs += 1.0
             k += 1
         if length > 0.0:
@@ -48,7 +64,10 @@ def _gather(model, state, scratch, contact, first, r):
         m = first + n
         state.touch_triangle[m] = t
         state.touch_part[m] = part
-        state.touch_support[m] = model.hull_start[part]
+        if model.contact_response[contact] != PRIMITIVE:
+            state.touch_support[m] = model.hull_start[model.contact_hull[contact] + part - first_part]
+        else:
+            state.touch_support[m] = deepest
         state.touch_a[m], state.touch_b[m], state.touch_c[m] = wa, wb, wc
         state.touch_nx[m], state.touch_ny[m], state.touch_nz[m] = to_world(
             r, (-normal[0] / size, -normal[1] / size, -normal[2] / size)
@@ -109,7 +128,7 @@ def find_touches(model, state, scratch, contact, r):
 
     ``r`` is the rotation matrix of the instrument.
     """
-    first = contact * scratch.pair_triangle.size
+    first = model.contact_touch_start[contact]
     n = _gather(model, state, scratch, contact, first, r)
     _share(model, state, scratch, contact, first, n)
     _load(model, state, scratch, contact, first, n)

@@ -1,25 +1,18 @@
 """Kernels that are simple enough to know every answer, for the tests of the FMU around them.
 
 The state is one vertex at x that drifts with vx; input 0 pulls it, input 1 asks for a status, parameter 0 is
-a gain.
+a gain. state.pairs counts the steps.
 """
 
 import math
 
-import numpy as np
 from numba import njit
-
-from tissue_contact.kernels.layout import State, blocks
-
-# The first field of whole numbers, whatever it is called, counts the steps.
-COUNT = list(blocks(State).values()).index(np.uint32)
-
 
 @njit(error_model="numpy")
 def _outputs(parameters, state, inputs, outputs):
     outputs[0] = parameters[0] * state.x[0]
     outputs[1] = parameters[0] * inputs[0]
-    outputs[2] = state[COUNT][0]
+    outputs[2] = state.pairs[0]
 
 
 @njit(error_model="numpy")
@@ -41,7 +34,7 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
     for i in range(state.y.size):
         state.y[i] = 0.5 * state.y[i] + h * model.rest_y[i] / (1.0 + state.x[0] * state.x[0])
     if h > 0.0:
-        state[COUNT][0] += 1
+        state.pairs[0] += 1
     _outputs(parameters, state, inputs, outputs)
     if inputs[1] != 0.0:
         scratch.detail[0] = 1.0

@@ -5,10 +5,16 @@ springs (D = 0) the middle step is one factor a vertex; with them it is solved b
 product of the masses, which keeps linear and angular momentum whatever the number of iterations.
 """
 
-import math
-
 from tissue_contact.kernels.compiled import inner
-from tissue_contact.kernels.springs import directions
+from tissue_contact.kernels.slots import (
+    AREAL_DENSITY,
+    DAMPING_SCALE,
+    DRAG,
+    SUPPORT_DAMPING,
+    SUPPORT_STIFFNESS,
+    TISSUE_PARAMETERS,
+)
+from tissue_contact.kernels.springs import damp_product, directions
 
 # Conjugate gradients stop when the residual has fallen by this factor: damping forces are then exact to well below
 # the error of the substep, and fewer than ten iterations do for a damper whose own rate is of the order of 1/dt.
@@ -25,7 +31,8 @@ def advance(
 
     ``travel`` is dt, or 0 where the springs are damped: then the velocities must be solved for before the drift.
     ``factor`` is 1 / (1 + dt c/rho) for the drag and support dampers c together [N·s/m³]; ``support`` is the stiffness
-    of the support over the density [1/s²]. Where ``lossy``, what the dampers take is added to ``loss`` [J].
+    of the support over the density [1/s²]. Where ``lossy``, what the dampers take in their way, dt c v'², is added to
+    ``loss`` [J].
     """
     per_mass = dt / density
     pull = dt * support
@@ -42,30 +49,7 @@ def advance(
         y[i] += travel * vy[i]
         z[i] += travel * vz[i]
         if lossy:
-            loss[i] += 0.5 * density * area[i] * (1.0 - factor * factor) * (ux * ux + uy * uy + uz * uz)
-
-
-@inner
-def _damp_product(first, last, s_first, s_last, i, j, damping, scale, ux, uy, uz, free, p, q, n):
-    """q = D p for the dampers of the springs, each acting along its unit vector; fixed vertices stay at rest."""
-    for v in range(first, last):
-        q[v] = 0.0
-        q[n + v] = 0.0
-        q[2 * n + v] = 0.0
-    for s in range(s_first, s_last):
-        a, b = i[s], j[s]
-        rate = (p[b] - p[a]) * ux[s] + (p[n + b] - p[n + a]) * uy[s] + (p[2 * n + b] - p[2 * n + a]) * uz[s]
-        f = scale * damping[s] * rate
-        q[a] -= f * ux[s]
-        q[n + a] -= f * uy[s]
-        q[2 * n + a] -= f * uz[s]
-        q[b] += f * ux[s]
-        q[n + b] += f * uy[s]
-        q[2 * n + b] += f * uz[s]
-    for v in range(first, last):
-        q[v] *= free[v]
-        q[n + v] *= free[v]
-        q[2 * n + v] *= free[v]
+            loss[i] += density * area[i] * factor * (1.0 - factor) * (ux * ux + uy * uy + uz * uz)
 
 
 @inner
@@ -76,17 +60,18 @@ def damp_springs(
     """Solve (M (1 + dt c/rho) + dt D) v' = M v for the velocities of one tissue, in place.
 
     ``drag`` is c/rho [1/s], ``damping`` and ``scale`` give the dampers of the springs, ``solve`` lends room for the
-    residual, the direction and its image. What the dampers take, (v - v')^T M (v + v') / 2, is added to ``loss`` [J].
+    residual, the direction, its image and the first velocities. What the dampers take in their way,
+    v'^T M (v - v') = dt v'^T (c + D) v', is added to ``loss`` [J].
     """
     n = area.size
-    r, p, q = solve[: 3 * n], solve[3 * n : 6 * n], solve[6 * n :]
+    r, p, q, u = solve[: 3 * n], solve[3 * n : 6 * n], solve[6 * n : 9 * n], solve[9 * n :]
     directions(s_first, s_last, i, j, x, y, z, ux, uy, uz)
     for v in range(first, last):
         p[v] = vx[v]
         p[n + v] = vy[v]
         p[2 * n + v] = vz[v]
-        loss[v] += 0.5 * density * area[v] * (vx[v] * vx[v] + vy[v] * vy[v] + vz[v] * vz[v])
-    _damp_product(first, last, s_first, s_last, i, j, damping, scale, ux, uy, uz, free, p, q, n)
+        u[v], u[n + v], u[2 * n + v] = vx[v], vy[v], vz[v]
+    damp_product(first, last, s_first, s_last, i, j, damping, scale, ux, uy, uz, free, p, q, n)
     rho = 0.0
     for v in range(first, last):
         m = density * area[v]
@@ -98,7 +83,7 @@ def damp_springs(
     target = RESIDUAL * RESIDUAL * rho
     iteration = 0
     while rho > target and rho > 0.0 and iteration < ITERATIONS:
-        _damp_product(first, last, s_first, s_last, i, j, damping, scale, ux, uy, uz, free, p, q, n)
+        damp_product(first, last, s_first, s_last, i, j, damping, scale, ux, uy, uz, free, p, q, n)
         curvature = 0.0
         for v in range(first, last):
             m = (1.0 + dt * drag) * density * area[v]
@@ -126,7 +111,8 @@ def damp_springs(
                 p[e] = r[e] * f + beta * p[e]
         iteration += 1
     for v in range(first, last):
-        loss[v] -= 0.5 * density * area[v] * (vx[v] * vx[v] + vy[v] * vy[v] + vz[v] * vz[v])
+        taken = vx[v] * (u[v] - vx[v]) + vy[v] * (u[n + v] - vy[v]) + vz[v] * (u[2 * n + v] - vz[v])
+        loss[v] += density * area[v] * taken
 
 
 @inner
@@ -139,11 +125,67 @@ def drift(first, last, dt, x, y, z, vx, vy, vz):
 
 
 @inner
-def undamped_limit(frequency_squared):
-    """Largest stable substep [s] of symplectic Euler for angular frequency squared [1/s²]: omega dt = 2.
-
-    Implicit damping only raises it, to omega dt = 2 (zeta + sqrt(1 + zeta^2)); that margin is left unused.
-    """
-    if frequency_squared <= 0.0:
-        return math.inf
-    return 2.0 / math.sqrt(frequency_squared)
+def symplectic_euler(model, parameters, state, scratch, dt):
+    """One substep of all the tissues under the forces in scratch.fx, fy, fz."""
+    for n in range(model.tissue_rate.size):
+        own = TISSUE_PARAMETERS * n
+        first, last = model.tissue_vertex_start[n], model.tissue_vertex_start[n + 1]
+        density = parameters[own + AREAL_DENSITY]
+        drag = (parameters[own + DRAG] + parameters[own + SUPPORT_DAMPING]) / density
+        damped = scratch.solve.size > 0 and parameters[own + DAMPING_SCALE] > 0.0
+        advance(
+            first,
+            last,
+            dt,
+            0.0 if damped else dt,
+            1.0 if damped else 1.0 / (1.0 + dt * drag),
+            density,
+            parameters[own + SUPPORT_STIFFNESS] / density,
+            model.gravity,
+            model.rest_x,
+            model.rest_y,
+            model.rest_z,
+            model.node_area,
+            model.node_free,
+            model.node_mobility,
+            scratch.fx,
+            scratch.fy,
+            scratch.fz,
+            state.x,
+            state.y,
+            state.z,
+            state.vx,
+            state.vy,
+            state.vz,
+            scratch.loss,
+            drag > 0.0 and not damped,
+        )
+        if damped:
+            damp_springs(
+                first,
+                last,
+                model.tissue_spring_start[n],
+                model.tissue_spring_start[n + 1],
+                dt,
+                density,
+                drag,
+                model.spring_i,
+                model.spring_j,
+                model.spring_damping,
+                parameters[own + DAMPING_SCALE],
+                state.x,
+                state.y,
+                state.z,
+                scratch.unit_x,
+                scratch.unit_y,
+                scratch.unit_z,
+                model.node_area,
+                model.node_free,
+                model.node_mobility,
+                state.vx,
+                state.vy,
+                state.vz,
+                scratch.solve,
+                scratch.loss,
+            )
+            drift(first, last, dt, state.x, state.y, state.z, state.vx, state.vy, state.vz)

@@ -1,0 +1,63 @@
+"""Energy of the tissue at one moment."""
+
+from tissue_contact.kernels.compiled import inner
+from tissue_contact.kernels.constraints import area_energy
+from tissue_contact.kernels.forces import volume_pressure
+from tissue_contact.kernels.slots import (
+    AREA_STIFFNESS,
+    AREAL_DENSITY,
+    NONLINEARITY,
+    STIFFNESS_SCALE,
+    SUPPORT_STIFFNESS,
+    TISSUE_PARAMETERS,
+    VOLUME_STIFFNESS,
+)
+from tissue_contact.kernels.springs import spring_energy
+
+
+@inner
+def tissue_energies(model, parameters, state):
+    """Kinetic and elastic energy [J]; springs, area, volume, support and weight are the elastic part."""
+    kinetic, elastic = 0.0, 0.0
+    g = model.gravity
+    for n in range(model.tissue_rate.size):
+        own = TISSUE_PARAMETERS * n
+        density, support = parameters[own + AREAL_DENSITY], parameters[own + SUPPORT_STIFFNESS]
+        elastic += spring_energy(
+            model.tissue_spring_start[n],
+            model.tissue_spring_start[n + 1],
+            model.spring_i,
+            model.spring_j,
+            model.spring_rest,
+            model.spring_stiffness,
+            parameters[own + STIFFNESS_SCALE],
+            parameters[own + NONLINEARITY],
+            state.x,
+            state.y,
+            state.z,
+        )
+        if parameters[own + AREA_STIFFNESS] > 0.0:
+            elastic += area_energy(
+                model.tissue_triangle_start[n],
+                model.tissue_triangle_start[n + 1],
+                model.triangle_a,
+                model.triangle_b,
+                model.triangle_c,
+                model.rest_area,
+                parameters[own + AREA_STIFFNESS],
+                state.x,
+                state.y,
+                state.z,
+            )
+        k = parameters[own + VOLUME_STIFFNESS]
+        if k > 0.0:
+            strain = volume_pressure(model, parameters, state, n) / k
+            elastic += 0.5 * k * model.tissue_volume[n] * strain * strain
+        for v in range(model.tissue_vertex_start[n], model.tissue_vertex_start[n + 1]):
+            dx, dy, dz = state.x[v] - model.rest_x[v], state.y[v] - model.rest_y[v], state.z[v] - model.rest_z[v]
+            square = state.vx[v] * state.vx[v] + state.vy[v] * state.vy[v] + state.vz[v] * state.vz[v]
+            kinetic += 0.5 * density * model.node_area[v] * square
+            elastic += model.node_area[v] * (
+                0.5 * support * (dx * dx + dy * dy + dz * dz) - density * (g[0] * dx + g[1] * dy + g[2] * dz)
+            )
+    return kinetic, elastic

@@ -1,0 +1,154 @@
+"""What lies near a rigid body: the triangles of a tissue, or the points of another body, that its field may reach.
+
+The counterpart of `detection` for contacts by distance field. Until the next detection the response looks at what was
+found here and at nothing else.
+"""
+
+import math
+
+from tissue_contact.kernels.collision import facing
+from tissue_contact.kernels.compiled import inner
+from tissue_contact.kernels.field import FAR, GRID, fields_of, part_distance
+from tissue_contact.kernels.occupancy import locate
+from tissue_contact.kernels.side import FACING, REJECTED, latch
+from tissue_contact.kernels.vectors import cross, dot, to_body, to_world
+
+# Share of the thinnest half extent that bodies may move between two continuous detections; what may be touched until
+# then is looked for within twice that share, as the last substep before a detection may go as far again.
+MOTION = 0.25
+
+
+@inner
+def _gap(model, first, last, p):
+    """Distance of a point from a body, or less: beyond the grid of a sampled part it is that from the grid."""
+    gap = math.inf
+    fields = fields_of(model)
+    for k in range(first, last):
+        distance, _, _, _ = part_distance(fields, k, p)
+        if distance == FAR and model.part_field[k] == GRID:
+            square = 0.0
+            for axis in range(3):
+                low = model.field_low[3 * k + axis] + model.field_spacing[k]
+                high = low + (model.field_size[3 * k + axis] - 3.0) * model.field_spacing[k]
+                beyond = max(0.0, low - p[axis], p[axis] - high)
+                square += beyond * beyond
+            distance = math.sqrt(square)
+        gap = min(gap, distance)
+    return gap
+
+
+@inner
+def _nearest_part(model, first, last, p):
+    """The part of a body whose surface is nearest to a point of its frame."""
+    best, part = math.inf, first
+    fields = fields_of(model)
+    for k in range(first, last):
+        distance, _, _, _ = part_distance(fields, k, p)
+        if distance < best:
+            best, part = distance, k
+    return part
+
+
+@inner
+def find_near_triangles(model, state, scratch, contact, r, p):
+    """Find the triangles of a tissue near its body, and on which side of the tissue the body is.
+
+    ``r`` and ``p`` [m] are the rotation matrix and the position of the body frame. The triangles go to state.near,
+    the latched sides to state.side.
+    """
+    tissue, body = model.contact_tissue[contact], model.contact_body[contact]
+    margin = 2.0 * MOTION * model.contact_reach[contact]
+    low = (
+        model.body_low[3 * body] - margin,
+        model.body_low[3 * body + 1] - margin,
+        model.body_low[3 * body + 2] - margin,
+    )
+    high = (
+        model.body_high[3 * body] + margin,
+        model.body_high[3 * body + 1] + margin,
+        model.body_high[3 * body + 2] + margin,
+    )
+    common = locate(
+        state.x,
+        state.y,
+        state.z,
+        model.tissue_vertex_start[tissue],
+        model.tissue_vertex_start[tissue + 1],
+        r,
+        p,
+        low,
+        high,
+        scratch.local_x,
+        scratch.local_y,
+        scratch.local_z,
+        scratch.outcode,
+    )
+    first, last = model.tissue_triangle_start[tissue], model.tissue_triangle_start[tissue + 1]
+    sides = model.contact_side_start[contact]
+    if common != 0 and state.near_count[contact] == 0:
+        return  # nothing is near and nothing is latched
+    begin = model.contact_near_start[contact]
+    first_part, last_part = model.body_part_start[body], model.body_part_start[body + 1]
+    n, rejected = 0, 0
+    x, y, z, outcode = scratch.local_x, scratch.local_y, scratch.local_z, scratch.outcode
+    for t in range(first, last):
+        side = sides + t - first
+        a, b, c = model.triangle_a[t], model.triangle_b[t], model.triangle_c[t]
+        if outcode[a] & outcode[b] & outcode[c] != 0:
+            state.side[side] = 0
+            continue
+        middle = ((x[a] + x[b] + x[c]) / 3.0, (y[a] + y[b] + y[c]) / 3.0, (z[a] + z[b] + z[c]) / 3.0)
+        u = (x[a] - middle[0], y[a] - middle[1], z[a] - middle[2])
+        v = (x[b] - middle[0], y[b] - middle[1], z[b] - middle[2])
+        w = (x[c] - middle[0], y[c] - middle[1], z[c] - middle[2])
+        radius = math.sqrt(max(dot(u, u), dot(v, v), dot(w, w)))
+        distance = _gap(model, first_part, last_part, middle)
+        if not distance < radius + margin:
+            state.side[side] = 0
+            continue
+        if model.contact_both[contact] == 1:
+            state.side[side] = FACING
+        else:
+            normal = cross((v[0] - u[0], v[1] - u[1], v[2] - u[2]), (w[0] - u[0], w[1] - u[1], w[2] - u[2]))
+            size = math.sqrt(dot(normal, normal))
+            if size > 0.0:
+                outer = (normal[0] / size, normal[1] / size, normal[2] / size)
+                part = _nearest_part(model, first_part, last_part, middle)
+                seen = facing(middle, outer, part, model.part_axis, model.part_reach)
+                state.side[side] = latch(state.side[side], seen)
+            elif state.side[side] == 0:
+                state.side[side] = FACING
+        if state.side[side] == REJECTED and distance < 0.0:
+            rejected += 1
+        state.near[begin + n] = t
+        n += 1
+    state.near_count[contact] = n
+    state.pairs[contact] = n
+    state.rejected[contact] = rejected
+
+
+@inner
+def find_near_samples(model, state, contact, r, p, r2, p2):
+    """Find the sample points of the contact's other body near the field of its body, into state.near.
+
+    ``r``, ``p`` are the pose of the body with the field, ``r2``, ``p2`` that of the other one.
+    """
+    body, other = model.contact_body[contact], model.contact_other[contact]
+    margin = 2.0 * MOTION * model.contact_reach[contact]
+    begin = model.contact_near_start[contact]
+    first_part, last_part = model.body_part_start[body], model.body_part_start[body + 1]
+    n = 0
+    for s in range(model.body_sample_start[other], model.body_sample_start[other + 1]):
+        q = to_world(r2, (model.sample_x[s], model.sample_y[s], model.sample_z[s]))
+        q = to_body(r, (p2[0] + q[0] - p[0], p2[1] + q[1] - p[1], p2[2] + q[2] - p[2]))
+        outside = False
+        for k in range(3):
+            outside |= q[k] < model.body_low[3 * body + k] - margin or q[k] > model.body_high[3 * body + k] + margin
+        if outside:
+            continue
+        distance = _gap(model, first_part, last_part, q)
+        if distance < margin:
+            state.near[begin + n] = s
+            n += 1
+    state.near_count[contact] = n
+    state.pairs[contact] = n

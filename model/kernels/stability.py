@@ -1,0 +1,169 @@
+"""How long a substep may be: stable limits of the schemes (model section 2) and the motion between two detections."""
+
+import math
+
+from tissue_contact.kernels.collision import BODIES, FIELD
+from tissue_contact.kernels.compiled import inner
+from tissue_contact.kernels.constraints import largest_growth
+from tissue_contact.kernels.contact import contact_slots
+from tissue_contact.kernels.forces import volume_pressure
+from tissue_contact.kernels.grasp import grasp_load, grasp_slots
+from tissue_contact.kernels.laws import KELVIN_VOIGT
+from tissue_contact.kernels.near import MOTION
+from tissue_contact.kernels.slots import (
+    AREA_STIFFNESS,
+    AREAL_DENSITY,
+    CONTACT_DAMPING,
+    CONTACT_EXPONENT,
+    CONTACT_STIFFNESS,
+    DAMPING_SCALE,
+    DRAG,
+    GRASP_DAMPING,
+    GRASP_STIFFNESS,
+    NONLINEARITY,
+    STIFFNESS_SCALE,
+    SUPPORT_DAMPING,
+    SUPPORT_STIFFNESS,
+    TISSUE_PARAMETERS,
+    VOLUME_STIFFNESS,
+)
+from tissue_contact.kernels.springs import largest_strain
+
+SYMPLECTIC_EULER, EXPLICIT_EULER, IMPLICIT_EULER, RUNGE_KUTTA_4 = 0, 1, 2, 3  # what Model.integrator says
+
+# |z| of the largest half disc of the left half plane within the region of stability of the classical Runge–Kutta
+# scheme is 2.6; it reaches -2.785 along the real axis and 2.828 along the imaginary one.
+RUNGE_KUTTA_RADIUS = 2.6
+
+
+@inner
+def _of_tissue(model, parameters, state, n):
+    """Stiffness [N/m³] and damping [N·s/m³] per area of a tissue's fastest motion, but for contacts and holds."""
+    own = TISSUE_PARAMETERS * n
+    scale = parameters[own + STIFFNESS_SCALE]
+    if parameters[own + NONLINEARITY] > 0.0:
+        scale *= 1.0 + 3.0 * parameters[own + NONLINEARITY] * largest_strain(
+            model.tissue_spring_start[n],
+            model.tissue_spring_start[n + 1],
+            model.spring_i,
+            model.spring_j,
+            model.spring_rest,
+            state.x,
+            state.y,
+            state.z,
+        )
+    stiffness = scale * model.tissue_rate[n] + parameters[own + SUPPORT_STIFFNESS]
+    growth = 1.0
+    if parameters[own + AREA_STIFFNESS] > 0.0 or parameters[own + VOLUME_STIFFNESS] > 0.0:
+        growth = largest_growth(
+            model.tissue_triangle_start[n],
+            model.tissue_triangle_start[n + 1],
+            model.triangle_a,
+            model.triangle_b,
+            model.triangle_c,
+            model.rest_edges,
+            state.x,
+            state.y,
+            state.z,
+        )
+    if parameters[own + AREA_STIFFNESS] > 0.0:
+        stiffness += growth * parameters[own + AREA_STIFFNESS] * model.tissue_area_rate[n]
+    if parameters[own + VOLUME_STIFFNESS] > 0.0:
+        stiffness += growth * growth * parameters[own + VOLUME_STIFFNESS] * model.tissue_volume_rate[n]
+        stiffness += math.sqrt(growth) * abs(volume_pressure(model, parameters, state, n)) * model.tissue_volume_bend[n]
+    damping = parameters[own + DRAG] + parameters[own + SUPPORT_DAMPING]
+    return stiffness, damping + parameters[own + DAMPING_SCALE] * model.tissue_damping_rate[n]
+
+
+@inner
+def contact_slope(model, parameters, state, k, travel):
+    """Stiffness and damping of a contact, per unit of its share or area, where it may be deepest.
+
+    ``travel`` [m] is how much deeper it may become until it is asked again.
+    """
+    own = contact_slots(model, k)
+    stiffness, damping = parameters[own + CONTACT_STIFFNESS], parameters[own + CONTACT_DAMPING]
+    if model.contact_law[k] == KELVIN_VOIGT:
+        return stiffness, damping
+    n = parameters[own + CONTACT_EXPONENT]
+    depth = state.deepest[k] + travel
+    if model.contact_response[k] == FIELD:
+        depth = min(depth, model.contact_depth[k])
+    return n * stiffness * depth ** (n - 1.0), damping * stiffness * depth**n
+
+
+@inner
+def stable_substep(model, parameters, state, scratch, h):
+    """Largest stable substep [s] of a step h [s], over all the tissues.
+
+    omega² is bounded by the springs' largest eigenvalue plus support, constraints, contacts and holds: a contact of
+    shares as if one vertex had to bear all of it for every part of the instrument, or what it bears now if that is
+    more; a distance field by its stiffness per area. Where the scheme takes a contact's damper at the velocity before
+    the springs' kick (symplectic Euler), a damped contact counts twice: the limit omega dt = sqrt(2 (2 + z) / (1 + z))
+    falls to sqrt(2) for large z = dt c load.
+    """
+    limit = math.inf
+    scheme = model.integrator[0]
+    if scheme == IMPLICIT_EULER:
+        return limit
+    for n in range(model.tissue_rate.size):
+        own = TISSUE_PARAMETERS * n
+        density = parameters[own + AREAL_DENSITY]
+        stiffness, damping = _of_tissue(model, parameters, state, n)
+        for k in range(model.contact_tissue.size):
+            if model.contact_response[k] == BODIES or model.contact_tissue[k] != n:
+                continue
+            load = 1.0
+            if model.contact_response[k] != FIELD:
+                i = model.contact_body[k]
+                parts = int(model.body_part_start[i + 1]) - int(model.body_part_start[i])
+                load = max(parts / model.tissue_node_area_min[n], state.touch_load[k])
+            spring, damper = contact_slope(model, parameters, state, k, travel(model, scratch, k, h))
+            count = 2.0 if damper > 0.0 and scheme == SYMPLECTIC_EULER else 1.0
+            stiffness += count * spring * load
+            damping += damper * load
+        for g in range(model.grasp_body.size):
+            if model.grasp_tissue[g] == n:
+                slots, load = grasp_slots(model, g), density * grasp_load(model, parameters, state, g)
+                count = 2.0 if parameters[slots + GRASP_DAMPING] > 0.0 and scheme == SYMPLECTIC_EULER else 1.0
+                stiffness += count * parameters[slots + GRASP_STIFFNESS] * load
+                damping += parameters[slots + GRASP_DAMPING] * load
+        square, rate = stiffness / density, damping / density
+        if square == 0.0 and (rate == 0.0 or scheme == SYMPLECTIC_EULER):
+            continue
+        if scheme == SYMPLECTIC_EULER:
+            limit = min(limit, 2.0 / math.sqrt(square))
+        elif scheme == EXPLICIT_EULER:
+            # 2 zeta/omega for zeta < 1 and more than 2/(2 zeta omega) beyond; every mode has the drag at least.
+            drag = (parameters[own + DRAG] + parameters[own + SUPPORT_DAMPING]) / density
+            limit = min(limit, drag / square if square > 0.0 else math.inf, 2.0 / rate if rate > 0.0 else 0.0)
+        else:
+            limit = min(limit, RUNGE_KUTTA_RADIUS / max(math.sqrt(square), rate))
+    return limit
+
+
+@inner
+def travel(model, scratch, k, h):
+    """Way [m] that the bodies of contact k go in a time h [s], rotation included."""
+    return h * (
+        _speed(model, scratch, model.contact_body[k])
+        + (_speed(model, scratch, model.contact_other[k]) if model.contact_response[k] == BODIES else 0.0)
+    )
+
+
+@inner
+def _speed(model, scratch, body):
+    """Greatest speed [m/s] of a point of a body."""
+    m = scratch.motion[6 * body : 6 * body + 6]
+    speed = math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
+    return speed + model.body_radius[body] * math.sqrt(m[3] * m[3] + m[4] * m[4] + m[5] * m[5])
+
+
+@inner
+def motion_rate(model, state, scratch, with_tissue):
+    """How often in a second the objects of a contact move as far as two continuous detections may lie apart [1/s]."""
+    rate = 0.0
+    for k in range(model.contact_body.size):
+        speed = travel(model, scratch, k, 1.0) + (state.tissue_speed[k] if with_tissue else 0.0)
+        rate = max(rate, speed / (MOTION * model.contact_reach[k]))
+    return rate
