@@ -72,27 +72,19 @@ def layout_hash() -> int:
 def source() -> str:
     """Python source of the entries: functions ``tc_initialize`` and ``tc_step``, not yet compiled."""
     at = {name: i for i, name in enumerate(BLOCKS)}
-    views = [f"    {name}_ = carray({name}, (n[{at[name]}],))" for name in BLOCKS]
-    bundles = []
-    for bundle in BUNDLES:
-        slices = [
-            f"{block}_[s[{2 * i}] : s[{2 * i + 1}]]" for i, (owner, _, block) in enumerate(fields()) if owner == bundle
-        ]
-        bundles.append(f"    {bundle} = {bundle.capitalize()}({', '.join(slices)})")
-    body = "\n".join(
-        [
-            f"    n = carray(sizes, ({len(BLOCKS)},))",
-            f"    s = carray(spans, ({2 * len(fields())},))",
-            *views,
-            *bundles,
-        ]
-    )
+    views = [f"    {name}_ = carray({name}, (n[{at[name]}],))" for name in ("parameters", "inputs", "outputs")]
+    first = {bundle: 2 * [owner for owner, _, _ in fields()].index(bundle) for bundle in BUNDLES}
+    bundles = [
+        f"    {bundle}_ = join_{bundle}({bundle}_index, {bundle}_real, pointer_at(spans, {first[bundle]}))"
+        for bundle in BUNDLES
+    ]
+    body = "\n".join([f"    n = carray(sizes, ({len(BLOCKS)},))", *views, *bundles])
     arguments = ", ".join(ARGUMENTS)
     return (
         f"def tc_initialize({arguments}):\n{body}\n"
-        "    return initialize(model, parameters_, state, inputs_, outputs_, scratch)\n\n\n"
+        "    return initialize(model_, parameters_, state_, inputs_, outputs_, scratch_)\n\n\n"
         f"def tc_step({arguments}):\n{body}\n"
-        "    return step(model, parameters_, state, inputs_, h, outputs_, scratch)\n"
+        "    return step(model_, parameters_, state_, inputs_, h, outputs_, scratch_)\n"
     )
 
 
@@ -102,6 +94,8 @@ def emit(directory: Path, kernels: Path) -> None:
     ``kernels`` is the Python file that holds the functions ``initialize`` and ``step``.
     """
     from numba import carray, cfunc, types
+
+    from tissue_contact.kernels.bundle import join_model, join_scratch, join_state, pointer_at
 
     spec = importlib.util.spec_from_file_location("kernels_of_entry", kernels)
     assert spec is not None and spec.loader is not None  # as every file that ends in .py has
@@ -118,7 +112,10 @@ def emit(directory: Path, kernels: Path) -> None:
         "carray": carray,
         "initialize": module.initialize,
         "step": module.step,
-        **{bundle.__name__: bundle for bundle in BUNDLES.values()},
+        "pointer_at": pointer_at,
+        "join_model": join_model,
+        "join_state": join_state,
+        "join_scratch": join_scratch,
     }
     exec(source(), scope)
     names = {}
