@@ -392,7 +392,11 @@ class Solver(Settings):
         "symplectic_euler", description="scheme in time"
     )
     energy_gain: float = quantity(
-        "1", 0, 1e6, "energy from nowhere above which a step is undone, over what it stores, moves and may find", 1.0
+        "1",
+        0,
+        1e6,
+        "energy from nowhere above which a step is undone, over what is stored and the work of the step",
+        10.0,
     )
 
     @model_validator(mode="after")

@@ -48,6 +48,7 @@ MESH = 'mesh = "{name}"\nopen_surface = true'
 IRREGULAR = 'shape = {{ kind = "patch", size = [0.06, 0.06], triangles = {n}, curvature_radius = 0.4, seed = 1 }}'
 CONTACT = """
 [[contact]]
+response = "hull"
 stiffness = 100.0
 damping = 0.05
 """

@@ -1,5 +1,6 @@
 """Small scenes for the tests of the model: texts, meshes and hand-made arrays turned into assemblies."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -45,8 +46,14 @@ def settled(assembly: Assembly, pose: np.ndarray) -> Instance:
     return instance
 
 
+def disturbed(instance: Instance) -> Instance:
+    """The instance, told that its state was changed from outside: what is stored now is where its balance goes on."""
+    instance.state.tuned[:] = np.nan  # no parameter equals it, so that the next step looks at the energies anew
+    return instance
+
+
 def chain(
-    masses: int, stiffness: float, mass: float, spacing: float, damping: float = 0.0, **solver: float
+    masses: int, stiffness: float, mass: float, spacing: float, damping: float = 0.0, **solver: float | str
 ) -> Assembly:
     """A straight chain along x between two fixed ends, made of the arrays of a scene with its triangles taken away.
 
@@ -57,7 +64,7 @@ def chain(
     stiffness, mass, spacing, damping : float
         Of every spring [N/m], of every mass [kg], rest length [m], of every spring [N·s/m].
     """
-    settings = "\n".join(f"{key} = {value!r}" for key, value in solver.items())
+    settings = "\n".join(f"{key} = {json.dumps(value)}" for key, value in solver.items())
     base = assembled(f"""
         [solver]
         {settings}
@@ -74,20 +81,27 @@ def chain(
     springs = np.arange(n - 1)
     rate = 4.0 * stiffness  # the Laplacian of a chain has its eigenvalues below 4 k
     model = base.model._replace(
-        tissue_vertex_start=[0, n], tissue_spring_start=[0, n - 1], tissue_triangle_start=[0, 0],
+        tissue_vertex_start=[0, n], tissue_spring_start=[0, n - 1], tissue_triangle_start=[0, 0], tissue_contacts=[0],
         triangle_a=[], triangle_b=[], triangle_c=[],
         spring_i=springs, spring_j=springs + 1, spring_rest=np.full(n - 1, spacing),
         spring_stiffness=np.full(n - 1, stiffness), spring_damping=np.full(n - 1, damping),
         rest_x=places["x"], rest_y=places["y"], rest_z=places["z"],
-        node_area=np.ones(n), node_free=ends, node_mobility=ends, tissue_rate=[rate], tissue_node_area_min=[1.0],
+        node_area=np.ones(n), node_free=ends, node_mobility=ends, tissue_rate=[rate],
+        tissue_damping_rate=[4.0 * damping], tissue_node_area_min=[1.0],
     )  # fmt: skip
     zeros = np.zeros(n)
     state = base.state._replace(**places, vx=zeros, vy=zeros, vz=zeros)
-    vertex_fields = ("outcode", "fx", "fy", "fz", "body_x", "body_y", "body_z", "loss", "vertex_share")
+    # Room for a vertex or a spring of the mesh becomes room for one of the chain, where there is any.
+    sizes = {len(base.model.rest_x): n, len(base.model.spring_i): n - 1}
     scratch = base.scratch._replace(
-        **dict.fromkeys(vertex_fields, zeros),
-        unit_x=springs, unit_y=springs, unit_z=springs, solve=np.zeros(9 * n if damping else 0),
-    )  # fmt: skip
+        **{
+            name: np.zeros(times * sizes[size])
+            for name in base.scratch._fields
+            for size in sizes
+            for times in (1, 3, 6, 12)
+            if getattr(base.scratch, name).size == times * size
+        }
+    )
     packed_model, packed_state, packed_scratch = pack(model), pack(state), pack(scratch)
     return replace(
         base,

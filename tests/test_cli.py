@@ -25,7 +25,7 @@ stiffness = 100.0
 shape = { kind = "sphere", radius = 0.003, triangles = 128 }
 start_position = [0, 0, 0.001]
 [[contact]]
-stiffness = 300.0
+stiffness_per_area = 1e7
 """
 SCENARIO = '[[expect]]\noutput = "instrument.force[3]"\nstatistic = "max"\nat_most = 1.0\n'
 COMMANDS = ("build", "run", "check", "mesh", "schema")

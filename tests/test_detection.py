@@ -5,7 +5,8 @@ import pytest
 from scenes import assembled, index, settled, write_mesh
 from scipy.spatial.transform import Rotation
 
-from tissue_contact.kernels.detection import EMPTY, FACING, POTENTIAL, REJECTED, SOLO
+from tissue_contact.kernels.detection import EMPTY, POTENTIAL, SOLO
+from tissue_contact.kernels.side import FACING, REJECTED
 from tissue_contact.kernels.step import initialize
 from tissue_contact.kernels.tritri import INTERSECT, intersect
 from tissue_contact.kernels.vectors import rotation
@@ -22,6 +23,7 @@ SCENE = """
     [[instrument]]
     shape = {instrument}
     [[contact]]
+    response = "hull"
     stiffness = 100.0
 """
 INSTRUMENTS = [
@@ -47,8 +49,8 @@ def deformed(instance: Instance, rng: np.random.Generator) -> None:
 
 def detect(instance: Instance) -> set[tuple[int, int]]:
     """Detect at the pose of the inputs, without a pair rejected; the pairs."""
-    arguments = (instance.model, instance.parameters, instance.state, instance.inputs, instance.outputs)
-    assert initialize(*arguments, instance.scratch) == OK
+    # The instance's own initialize would begin with the start state again.
+    assert initialize(*instance._arguments(), instance.outputs, instance._scratch) == OK
     n, scratch = int(instance.state.pairs[0]), instance.scratch
     pairs = list(zip(scratch.pair_triangle[:n].tolist(), scratch.pair_instrument[:n].tolist(), strict=True))
     assert pairs == sorted(pairs), "the order of the pairs must not depend on the hash"
@@ -68,10 +70,10 @@ def brute_force(instance: Instance) -> set[tuple[int, int]]:
         tuple((x[v], y[v], z[v]) for v in corners)
         for corners in zip(model.triangle_a, model.triangle_b, model.triangle_c, strict=True)
     ]
-    ix, iy, iz = model.instrument_x, model.instrument_y, model.instrument_z
+    ix, iy, iz = model.body_x, model.body_y, model.body_z
     instrument = [
         tuple((ix[v], iy[v], iz[v]) for v in corners)
-        for corners in zip(model.instrument_a, model.instrument_b, model.instrument_c, strict=True)
+        for corners in zip(model.body_a, model.body_b, model.body_c, strict=True)
     ]
     return {
         (t, u) for t, a in enumerate(tissue) for u, b in enumerate(instrument) if intersect(*a, *b, ROOM) == INTERSECT
@@ -148,6 +150,7 @@ def test_two_places_are_two_regions(tmp_path):
         mesh = "{mesh}"
         many_parts = true
         [[contact]]
+        response = "hull"
         stiffness = 100.0
         """,
         tmp_path,

@@ -26,6 +26,7 @@ SCENE = """
     shape = { kind = "capsule", radius = 0.003, length = 0.03, triangles = 400 }
     start_position = [0.0, 0.0, 0.001]
     [[contact]]
+    response = "hull"
     stiffness = 200.0
     damping = 0.1
 """
