@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from tissue_contact import scene
-from tissue_contact.assemble import variable_table
 from tissue_contact.scenarios import scenario, stimulus
-from tissue_contact.scene import read_scene
+from tissue_contact.scene import parse_scene
 from tissue_contact.settings import Settings, setting
 from tissue_contact.status import OK, STATUSES
+from tissue_contact.table import variable_table
 from tissue_contact.variables import CAUSALITY, Block
 
 ROOT = Path(__file__).parents[1]
@@ -27,8 +27,49 @@ SCENE_TABLES: tuple[tuple[str, type[Settings]], ...] = (
     ("`[[tissue]]`", scene.Tissue),
     ("`fixed` as a table", scene.FixedBox),
     ("`[[instrument]]`", scene.Instrument),
+    ("`grasp` of an instrument", scene.Grasp),
+    ("`[[rigid]]`", scene.Rigid),
     ("`[[contact]]`", scene.Contact),
 )
+# A scene in which every variable occurs.
+EVERYTHING = """
+name = "everything"
+[[tissue]]
+name = "TISSUE"
+shape = { kind = "ellipsoid", radii = [0.02, 0.02, 0.02], triangles = 100 }
+areal_density = 1.0
+stiffness = 100.0
+damping = 0.01
+nonlinearity = 1.0
+area_stiffness = 10.0
+volume_stiffness = 1e4
+support_stiffness = 1e5
+support_damping = 1e3
+drag = 10.0
+probes = [[0, 0, 0.02]]
+[[instrument]]
+name = "INSTRUMENT"
+shape = { kind = "capsule", radius = 0.002, length = 0.02, triangles = 100 }
+grasp = { radius = 0.003, stiffness = 100.0, slip_force = 1.0 }
+[[rigid]]
+name = "RIGID"
+shape = { kind = "box", size = [0.01, 0.01, 0.01] }
+[[contact]]
+name = "FIELD"
+between = ["TISSUE", "RIGID"]
+stiffness_per_area = 1e6
+[[contact]]
+name = "WHOLE"
+between = ["TISSUE", "INSTRUMENT"]
+response = "hull"
+stiffness = 100.0
+friction = 0.1
+[[contact]]
+name = "HUNT_CROSSLEY"
+between = ["INSTRUMENT", "RIGID"]
+law = "hunt_crossley"
+stiffness_per_area = 1e6
+"""
 SHAPES = (
     scene.Patch,
     scene.Ellipsoid,
@@ -155,24 +196,25 @@ def _number(value: float) -> str:
 
 
 def variables_page() -> str:
-    """The variables of the press scene's FMU."""
-    found = variable_table(read_scene(ROOT / "scenarios" / "press" / "scene.toml"))
+    """Every variable that an FMU may have."""
+    found = variable_table(parse_scene(EVERYTHING.encode(), ROOT))
     text = (
-        f"{NOTE}# Variables of the FMU of `scenarios/press`\n\n"
-        "All are Real. Names begin with those of the scene's tissues, instruments and contacts; an effect that a "
-        "scene does not declare has no variable. The value reference is the place in modelDescription.xml, from 0. "
-        "An empty bound means none.\n"
+        f"{NOTE}# Variables of an FMU\n\n"
+        "All are Real. What stands in capitals here is a name that the scene gives: a contact is FIELD where its "
+        "response is `distance_field`, WHOLE where it is another, HUNT_CROSSLEY where the law is. An effect that a scene "
+        "does not declare has no variable; each instrument, rigid body, tissue and contact has its own. Start values "
+        "follow the scene. The value reference is the place in modelDescription.xml, from 0. An empty bound means none.\n"
     )
     blocks: tuple[Block, ...] = ("inputs", "parameters", "outputs")
     for block in blocks:
-        headings = ["Reference", "Name", "Unit", "Start", "Least", "Greatest", "Meaning"]
+        headings = ["Name", "Unit", "Least", "Greatest", "Meaning"]
         rows = [
-            [str(k), f"`{v.name}`", v.unit, _number(v.start), _number(v.minimum), _number(v.maximum), v.description]
-            for k, v in enumerate(found)
+            [f"`{v.name}`", v.unit, _number(v.minimum), _number(v.maximum), v.description]
+            for v in found
             if v.block == block
         ]
         if block == "outputs":
-            headings, rows = headings[:3] + headings[6:], [row[:3] + row[6:] for row in rows]
+            headings, rows = headings[:2] + headings[4:], [row[:2] + row[4:] for row in rows]
         text += f"\n## {CAUSALITY[block].capitalize()}s\n\n{table(headings, rows)}"
     return text
 

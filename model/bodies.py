@@ -127,7 +127,7 @@ def polytopes(contact: Contact, body: Body) -> list[Hull]:
             made.append(geometry.convex_hull(body.surface, part))
         elif contact.response == "kdop":
             points = body.surface.vertices[np.unique(body.surface.triangles[body.surface.part == part])]
-            made.append(geometry.kdop(points, contact.kdop))  # type: ignore[arg-type]  # 6, 14 or 26
+            made.append(geometry.kdop(points, contact.kdop))
     return made
 
 

@@ -26,9 +26,20 @@ stiffness = 200.0
 shape = { kind = "capsule", radius = 0.0025, length = 0.04, triangles = 200 }
 start_position = [0, 0, 0.005]
 [[contact]]
+response = "hull"
 stiffness = 500.0
 """
 SHIPPED = sorted((Path(scene.__file__).parents[1] / "scenarios").glob("*/scene.toml"))
+
+TWO_TISSUES = """[[tissue]]
+name = "fat"
+shape = { kind = "patch", size = [0.06, 0.06], triangles = 600 }
+areal_density = 1.0
+stiffness = 200.0
+"""
+TWO_RIGIDS = "".join(
+    f'[[rigid]]\nname = "{name}"\nshape = {{ kind = "sphere", radius = 0.01, triangles = 100 }}\n' for name in "ab"
+)
 
 # What to replace in TEXT by what, and the parts that the message must have.
 WRONG = {
@@ -39,15 +50,10 @@ WRONG = {
         ["tissue[0].stifness", "200", "spelling is stiffness"],
     ),
     "unknown table": ("[[contact]]", "[[contct]]", ["contct", "spelling is contact"]),
-    "far from any key": ("[[contact]]", "[[rigid]]", ["rigid", "Known keys: name,", "contact"]),
+    "far from any key": ("[[contact]]", "[[bones]]", ["bones", "Known keys: name,", "contact"]),
     "missing key": ("areal_density = 1.0", "", ["tissue[0].areal_density", "must be given", "mass per area"]),
     "no name": ('name = "press"', "", ["bad.toml, name", "must be given"]),
-    "no tissue": (TEXT[TEXT.index("[[t") : TEXT.index("[[i")], "", ["bad.toml, tissue", "must be given"]),
-    "empty list": (
-        TEXT[TEXT.index("[[t") : TEXT.index("[[i")],
-        "tissue = []\n",
-        ["tissue", "1 entries or more", "[]"],
-    ),
+    "no tissue to touch": (TEXT[TEXT.index("[[t") : TEXT.index("[[i")], "", ["contact[0].between", "0 tissues"]),
     "single brackets": ("[[tissue]]", "[tissue]", ["bad.toml, tissue", "[[…]]"]),
     "table for a word": ('name = "press"', "name = { a = 1 }", ["name", "letter first", "a = 1"]),
     "word for a number": (
@@ -141,45 +147,73 @@ WRONG = {
         ["contact[0].stiffness", "1 and 1e+07 N/m", "found 0"],
     ),
     "unknown law": ("= 500.0", '= 500.0\nlaw = "hertz"', ["contact[0].law", '"hertz"', "kelvin_voigt"]),
-    "unknown response": ("= 500.0", '= 500.0\nresponse = "sdf"', ["contact[0].response", '"sdf"', "oobb"]),
+    "unknown response": ('"hull"', '"sdf"', ["contact[0].response", '"sdf"', "oobb"]),
     "unknown weight": (
         "= 500.0",
         '= 500.0\npair_weight = "lenght"',
         ["pair_weight", '"lenght"', "spelling is length"],
     ),
-    "undeclared tissue": (
+    "undeclared object": (
         "= 500.0",
-        '= 500.0\ntissue = "tisue"',
-        ["contact[0].tissue", '"tisue"', "is tissue"],
-    ),
-    "undeclared instrument": (
-        "= 500.0",
-        '= 500.0\ninstrument = "probe"',
-        ["instrument", "declared", "Known", '"probe"'],
+        '= 500.0\nbetween = ["tisue", "instrument"]',
+        ["contact[0].between", '"tisue"', "is tissue"],
     ),
     "tissue–tissue": (
-        "= 500.0",
-        '= 500.0\ninstrument = "tissue"',
-        ["tissue–tissue contact is not built", '"tissue"'],
+        "[[contact]]",
+        TWO_TISSUES + '[[contact]]\nbetween = ["fat", "tissue"]',
+        ["contact[0].between", "tissue–tissue contact is not built", '["fat", "tissue"]'],
     ),
-    "instrument–instrument": (
+    "rigid–rigid": (
+        "[[contact]]",
+        TWO_RIGIDS + '[[contact]]\nbetween = ["a", "b"]',
+        ["rigid–rigid contact is none", '["a", "b"]'],
+    ),
+    "self-contact": (
         "= 500.0",
-        '= 500.0\ntissue = "instrument"',
-        ["instrument–instrument contact is not built", '"instrument"'],
+        '= 500.0\nbetween = ["tissue", "tissue"]',
+        ["contact[0].between", "two objects", "with itself"],
+    ),
+    "one object": ("= 500.0", '= 500.0\nbetween = ["tissue"]', ["contact[0].between", "two objects", "Name two"]),
+    "three objects": ("= 500.0", '= 500.0\nbetween = ["tissue", "a", "b"]', ["contact[0].between", "the list must"]),
+    "hull between bodies": (
+        "[[contact]]",
+        TWO_RIGIDS + '[[contact]]\nbetween = ["a", "instrument"]',
+        ["contact[0].response", "instrument and rigid must be distance_field", '"hull"'],
     ),
     "no instrument to touch": (
         TEXT[TEXT.index("[[i") : TEXT.index("[[c")],
         "",
-        ["contact[0].instrument", "exactly one", "0 declared"],
+        ["contact[0].between", "one tissue and one instrument", "0 instruments"],
     ),
     "which of two": (
         "[[contact]]",
         '[[instrument]]\nname = "other"\nshape = { kind = "box", size = [0.01, 0.01, 0.01] }\n[[contact]]',
-        ["contact[0].instrument", "2 declared", "instrument, other"],
+        ["contact[0].between", "2 instruments", "instrument, other"],
     ),
+    "stiffness of a field": (
+        '"hull"\nstiffness',
+        '"distance_field"\nstiffness',
+        ["stiffness_per_area", "N/m3", "instead"],
+    ),
+    "no stiffness of a field": ('response = "hull"\nstiffness = 500.0', "", ["stiffness_per_area", "nothing", "1e6"]),
+    "no meaning": ("= 500.0", "= 500.0\nexponent = 2.0", ["contact[0].exponent", "no meaning", "kelvin_voigt", "2.0"]),
+    "slip without friction": ("= 500.0", "= 500.0\nslip_speed = 0.01", ["slip_speed", "without friction"]),
+    "odd k-DOP": ('"hull"', '"kdop"\nkdop = 8', ["contact[0].kdop", "6 or 14 or 26", "found 8"]),
+    "side of a hull": ("= 500.0", '= 500.0\nside = "both"', ["contact[0].side", "distance_field"]),
+    "grasper alone": (
+        TEXT[TEXT.index("[[c") :],
+        "[instrument.grasp]\nradius = 0.01\nstiffness = 10.0\nslip_force = 1.0\n",
+        ["instrument[0].grasp", "in contact with a tissue", "no such contact"],
+    ),
+    "jaws without hysteresis": (
+        "[[contact]]",
+        "[instrument.grasp]\nradius = 0.01\nstiffness = 10.0\nslip_force = 1.0\nclose_below = 0.8\n[[contact]]",
+        ["grasp.close_below", "must not exceed", "0.8 and 0.5"],
+    ),
+    "nothing at all": (TEXT[TEXT.index("[[t") :], "", ["a tissue or an instrument", "neither"]),
     "same pair twice": (
         "[[contact]]",
-        "[[contact]]\nstiffness = 1.0\n[[contact]]",
+        "[[contact]]\nstiffness_per_area = 1e5\n[[contact]]",
         ["contact[1]", "one contact only"],
     ),
     "same name twice": (
@@ -248,7 +282,7 @@ def test_missing_and_undecodable_file(tmp_path: Path) -> None:
 def test_defaults_are_filled_in() -> None:
     made = parsed(TEXT)
     (contact,) = made.contact
-    assert (contact.name, contact.tissue, contact.instrument) == ("contact", "tissue", "instrument")
+    assert (contact.name, contact.between, contact.side) == ("contact", ("tissue", "instrument"), "outer")
     assert made.instrument[0].start_position == (0, 0, 0.005)
     assert made.solver.step == 0.001 and made.solver.substeps == 0
     assert made.source == TEXT.encode()
@@ -260,11 +294,22 @@ def test_names_of_several_contacts() -> None:
 name = "hook"
 shape = { kind = "hook", radius = 0.001, length = 0.05, hook_length = 0.01 }
 [[contact]]
-instrument = "hook"
-stiffness = 100.0
+between = ["hook", "tissue"]
+stiffness_per_area = 1e6
+[[rigid]]
+name = "bone"
+shape = { kind = "sphere", radius = 0.01, triangles = 100 }
+[[contact]]
+between = ["bone", "hook"]
+stiffness_per_area = 1e6
+[[contact]]
+between = ["bone", "tissue"]
+stiffness_per_area = 1e6
 """
-    made = parsed(TEXT.replace("[[contact]]", '[[contact]]\ninstrument = "instrument"') + more)
-    assert [c.name for c in made.contact] == ["instrument_tissue", "hook_tissue"]
+    made = parsed(TEXT.replace("[[contact]]", '[[contact]]\nbetween = ["instrument", "tissue"]') + more)
+    assert [c.name for c in made.contact] == ["instrument_tissue", "hook_tissue", "bone_hook", "bone_tissue"]
+    assert [c.between for c in made.contact[1:]] == [("tissue", "hook"), ("hook", "bone"), ("tissue", "bone")]
+    assert [c.side for c in made.contact] == ["outer", "outer", "both", "both"], "a tissue may lie on a bone"
 
 
 def test_a_scene_without_contact_or_instrument_is_legal() -> None:
