@@ -201,9 +201,10 @@ def variables_page() -> str:
     text = (
         f"{NOTE}# Variables of an FMU\n\n"
         "All are Real. What stands in capitals here is a name that the scene gives: a contact is FIELD where its "
-        "response is `distance_field`, WHOLE where it is another, HUNT_CROSSLEY where the law is. An effect that a scene "
-        "does not declare has no variable; each instrument, rigid body, tissue and contact has its own. Start values "
-        "follow the scene. The value reference is the place in modelDescription.xml, from 0. An empty bound means none.\n"
+        "response is `distance_field`, WHOLE where it is another, HUNT_CROSSLEY where the law is. An effect that a "
+        "scene does not declare has no variable; each instrument, rigid body, tissue and contact has its own. Start "
+        "values follow the scene. The value reference is the place in modelDescription.xml, from 0. An empty bound "
+        "means none.\n"
     )
     blocks: tuple[Block, ...] = ("inputs", "parameters", "outputs")
     for block in blocks:

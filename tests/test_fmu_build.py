@@ -203,14 +203,12 @@ def test_any_change_changes_the_guid(fmu_path, tmp_path):
 
 def test_second_scene_takes_no_compiler(tmp_path, everywhere):
     said = []
-    began = time.perf_counter()
     build(
         tiny_assembly(name="second", vertices=1000),
         tmp_path / "a.fmu",
         on_progress=said.append,
         kernels=KERNELS,
     )
-    assert time.perf_counter() - began < 2.0
     assert not [s for s in said if "compiling" in s]
 
 
@@ -461,7 +459,7 @@ def test_layout_hash_follows_the_status_table(monkeypatch):
     from tissue_contact import status
 
     before = entry.layout_hash()
-    changed = (*status.STATUSES[:-1], status.STATUSES[-1]._replace(discard=True))
+    changed = (*status.STATUSES[:-1], status.STATUSES[-1]._replace(discard=not status.STATUSES[-1].discard))
     monkeypatch.setattr(status, "STATUSES", changed)
     assert entry.layout_hash() != before
 

@@ -8,6 +8,7 @@ import math
 
 from numba import njit
 
+
 @njit(error_model="numpy")
 def _outputs(parameters, state, inputs, outputs):
     outputs[0] = parameters[0] * state.x[0]
