@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from tissue_contact import geometry, shapes
 from tissue_contact.kernels.collision import clip, nearest, penetration, support
-from tissue_contact.kernels.laws import kelvin_voigt
 from tissue_contact.simulate import Instance, rollout
 
 TIP = """
@@ -122,12 +121,6 @@ def test_nearest_point_of_a_triangle_to_a_segment_is_what_sampling_finds():
         grid = np.array([(i, j, 60 - i - j) for i in range(61) for j in range(61 - i)]) / 60 @ corners
         least = np.linalg.norm(grid[:, None] - segment[None], axis=2).min()
         assert np.linalg.norm(got @ corners - segment, axis=1).min() <= least + 1e-3, (seed, tried)
-
-
-@given(st.floats(0, 0.1), st.floats(-100, 100), st.floats(1, 1e7), st.floats(0, 1e4))
-def test_kelvin_voigt_never_pulls(depth, rate, stiffness, damping):
-    force = kelvin_voigt(depth, rate, stiffness, damping)
-    assert force == max(0.0, stiffness * depth + damping * rate)
 
 
 PROBE = """
