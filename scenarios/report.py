@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 DOTS_PER_INCH = 160
 CANVAS = 1680  # [pixel] across, of which the picture is cut out
-ELEVATION, AZIMUTH = 24.0, -58.0  # [degree] of the camera above and round the tissue at the contact
+ELEVATION, AZIMUTH = 32.0, -58.0  # [degree] of the camera above and round the tissue at the contact
 LIGHT = np.array([-0.45, -0.35, 0.82])  # towards the light, in the camera's upright frame
 AMBIENT = 0.42  # light that reaches every side
 STEEL = np.array([0.44, 0.52, 0.60])
@@ -72,12 +72,15 @@ def draw(outcome: "Outcome", assembly: Assembly, output: Path) -> list[Path]:
 
 
 def history(trace: Trace, bodies: Sequence[str], title: str) -> bytes:
-    """Force and depth of the named instruments and rigid bodies over time, as PNG; grey while jaws hold tissue."""
+    """Force and depth of the named instruments and rigid bodies over time, as PNG; grey while jaws hold tissue.
+
+    A grasper that holds tissue and touches none shows how many vertices it holds instead of its depth.
+    """
     figure = Figure(figsize=(8, 2 + 3.2 * len(bodies)), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(2 * len(bodies), 1, sharex=True, height_ratios=[3, 2] * len(bodies))
     time = trace.time[: trace.done]
-    for name, force_axes, depth_axes in zip(bodies, axes[::2], axes[1::2], strict=True):
+    for name, force_axes, lower in zip(bodies, axes[::2], axes[1::2], strict=True):
         force = trace.vector(f"{name}.force")
         depth = trace.column(f"{name}.depth")
         size = np.linalg.norm(force, axis=1)
@@ -95,18 +98,21 @@ def history(trace: Trace, bodies: Sequence[str], title: str) -> bytes:
                 textcoords="offset points",
                 ha="left" if right else "right",
             )
+        below, meaning = 1e3 * depth, "depth [mm]"
         if f"{name}.grasped" in trace.names:
-            held = trace.column(f"{name}.grasped") > 0
-            for a in (force_axes, depth_axes):
+            held = trace.column(f"{name}.grasped")
+            for a in (force_axes, lower):
                 reach = a.get_xaxis_transform()
-                a.fill_between(time, 0, 1, where=held, transform=reach, color="0.9", lw=0, label="holds tissue")
+                a.fill_between(time, 0, 1, where=held > 0, transform=reach, color="0.9", lw=0, label="holds tissue")
+            if held.max() > 0 and not depth.max() > 0:
+                below, meaning = held, "vertices held"
         force_axes.set_ylabel(f"force on {name} [N]")
         force_axes.margins(y=0.22)
-        depth_axes.fill_between(time, 1e3 * depth, color="#bf4551", alpha=0.25, lw=0)
-        depth_axes.plot(time, 1e3 * depth, color="#bf4551", lw=1.2)
-        depth_axes.set_ylabel("depth [mm]")
-        depth_axes.set_ylim(bottom=0)
-        for a in (force_axes, depth_axes):
+        lower.fill_between(time, below, color="#bf4551", alpha=0.25, lw=0)
+        lower.plot(time, below, color="#bf4551", lw=1.2)
+        lower.set_ylabel(meaning)
+        lower.set_ylim(bottom=0)
+        for a in (force_axes, lower):
             a.grid(alpha=0.25)
             a.spines[["top", "right"]].set_visible(False)
     axes[0].set_title(title)
