@@ -227,7 +227,7 @@ PRESS = """
     areal_density = 5.0
     stiffness = 30.0
     bending_stiffness = 5.0
-    damping = 0.005
+    damping = {damping}
     nonlinearity = 5.0
     area_stiffness = 5.0
     drag = 100.0
@@ -259,7 +259,7 @@ def press_poses(steps: int) -> np.ndarray:
 @cache
 def pressed(scheme: str, substeps: int) -> np.ndarray:
     """Places [m], and velocities over the fastest frequency, at the end of a press."""
-    text = PRESS.format(scheme=scheme, solver=FIXED.format(n=substeps), contact=SMOOTH)
+    text = PRESS.format(scheme=scheme, solver=FIXED.format(n=substeps), contact=SMOOTH, damping=0.005)
     assembly = assembled(text)
     outputs, state = rollout(assembly, press_poses(20), 1e-3)
     assert outputs[-1, index(assembly, "instrument.depth")] > 1e-4
@@ -282,7 +282,7 @@ def test_order_on_a_mesh_in_contact(scheme, substeps):
 def held(scheme: str, contact: str, solver: str = "") -> tuple[Assembly, np.ndarray]:
     """Scene and outputs of a press and of 200 steps in which the instrument stays where it is."""
     poses = np.concatenate([press_poses(20), np.tile(press_poses(20)[-1], (200, 1))])
-    assembly = assembled(PRESS.format(scheme=scheme, solver=solver, contact=contact))
+    assembly = assembled(PRESS.format(scheme=scheme, solver=solver, contact=contact, damping=0.0))
     return assembly, rollout(assembly, poses, 1e-3).outputs
 
 
@@ -301,8 +301,65 @@ def test_automatic_substeps_are_stable_in_contact(scheme, contact):
     assert error[-1] < 1e-5
 
 
+SLIDE = """
+    [solver]
+    integrator = "{scheme}"
+    {solver}
+    [[tissue]]
+    shape = {{ kind = "patch", size = [0.02, 0.02], triangles = 300, seed = 7 }}
+    areal_density = 1.0
+    stiffness = 30.0
+    support_stiffness = 1e5
+    support_damping = 300.0
+    [[instrument]]
+    shape = {{ kind = "sphere", radius = 0.004, triangles = 300 }}
+    start_position = [0.0, 0.0, 0.0005]
+    [[contact]]
+    stiffness_per_area = 1e6
+    friction = 0.5
+    slip_speed = 1e-4
+"""
+
+
+@cache
+def slid(scheme: str, solver: str = "") -> dict[str, np.ndarray]:
+    """Force along x, impulse of a step over its length, work and loss of a slide of 60 steps and a rest of 60."""
+    t, zero = np.minimum(1, np.arange(121) / 60), np.zeros(121)
+    poses = np.column_stack([0.004 * t, zero, 0.0005 - 0.002 * np.minimum(1, 2 * t), zero + 1, zero, zero, zero])
+    assembly = assembled(SLIDE.format(scheme=scheme, solver=solver))
+    outputs = rollout(assembly, poses, 1e-3).outputs
+    names = ("instrument.force[1]", "instrument.meanForce[1]", "energy.work", "energy.dissipated")
+    return {name: outputs[:, index(assembly, name)] for name in names}
+
+
+CHATTERS = pytest.mark.xfail(strict=True, reason="the substep takes no account of what friction adds to the damping")
+LEAKS = pytest.mark.xfail(strict=True, reason="eased by the substep, friction is too weak wherever it is balanced")
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        "explicit_euler",
+        pytest.param("symplectic_euler", marks=LEAKS),
+        "implicit_euler",
+        pytest.param("runge_kutta_4", marks=CHATTERS),
+    ],
+)
+def test_friction_slides_and_holds_with_automatic_substeps(scheme):
+    """Against Runge–Kutta at 400 substeps: a third of the force is left 60 ms after the slide, for all of 0.1 mm/s."""
+    exact, found = slid("runge_kutta_4", FIXED.format(n=400)), slid(scheme)
+    size = abs(exact["instrument.force[1]"]).max()
+    assert abs(exact["instrument.force[1]"][-1]) > 0.3 * size
+    for name in ("instrument.force[1]", "instrument.meanForce[1]"):
+        print(scheme, name, (found[name] - exact[name])[[50, 60, 120]] / size)
+        assert found[name][[50, 60, 120]] == pytest.approx(exact[name][[50, 60, 120]], abs=0.05 * size)
+    for name in ("energy.work", "energy.dissipated"):
+        print(scheme, name, found[name][-1] / exact[name][-1])
+        assert found[name][-1] == pytest.approx(exact[name][-1], rel=0.05)
+
+
 def test_explicit_euler_is_refused_where_nothing_is_damped():
-    text = PRESS.format(scheme="explicit_euler", solver="", contact=VISCOUS)
+    text = PRESS.format(scheme="explicit_euler", solver="", contact=VISCOUS, damping=0.01)
     text = text.replace("drag = 100.0", "").replace("support_damping = 500.0", "")
     with pytest.raises(
         InputError, match=r"solver\.integrator.*explicit_euler is stable only.*support_damping of tissue"
@@ -310,7 +367,7 @@ def test_explicit_euler_is_refused_where_nothing_is_damped():
         assembled(text)
     for way_out in ("drag = 1.0", "support_damping = 1.0"):
         assembled(text.replace("bending_stiffness = 5.0", f"bending_stiffness = 5.0\n{way_out}"))
-    assembled(PRESS.format(scheme="explicit_euler", solver="substeps = 9", contact=VISCOUS))
+    assembled(PRESS.format(scheme="explicit_euler", solver="substeps = 9", contact=VISCOUS, damping=0.0))
 
 
 # --- a plate against a wall -------------------------------------------------------------------------------
@@ -418,10 +475,10 @@ def test_restitution_of_a_hunt_crossley_field(strength, digits, exponent, k, tmp
 def test_restitution_of_a_hunt_crossley_hull(strength, digits, exponent, k, response, tmp_path):
     """The same for a whole contact."""
     contact = f'response = "{response}"\n stiffness = {k}\n' + hunt_crossley(exponent, strength)
-    # Order 1: 5 us are 5e-4 of an impact.
+    # Order 1: 5 us are some 1e-4 of an impact.
     found = restitution(tmp_path, contact, "symplectic_euler", 400)
     print(found - digits)
-    assert found == pytest.approx(digits, abs=2e-3)
+    assert found == pytest.approx(digits, abs=4e-4)
 
 
 def hunt_crossley(exponent: float, strength: float) -> str:
