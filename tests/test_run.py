@@ -1,9 +1,11 @@
 """Runs: rows, summary, expectations, files that appear whole or are called partial, figures."""
 
 import csv
+import functools
 import io
 import itertools
 import struct
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,7 @@ from tissue_contact.files import publish
 from tissue_contact.scenarios import run as run_module
 from tissue_contact.scenarios.outcome import Trace, check_names, judge, summarise, write_csv
 from tissue_contact.scenarios.report import CANVAS, Mesh, _rendered, history, picture, still
-from tissue_contact.scenarios.run import Interrupted, communication_points, run, scene_key
+from tissue_contact.scenarios.run import Interrupted, Outcome, communication_points, run, scene_key
 from tissue_contact.scenarios.scenario import Expectation, Scenario, read_scenario, shipped_names
 from tissue_contact.scenarios.stimulus import read_recording
 from tissue_contact.scene import parse_scene
@@ -315,17 +317,22 @@ def test_an_interrupt_keeps_the_rows_before(tiny: Scenario, tmp_path: Path, monk
 # --- shipped ----------------------------------------------------------------------------------------------
 
 
+@functools.cache
+def ran(name: str, parameter: str = "", value: float = 0.0) -> Outcome:
+    """A shipped scenario as it is, or with one parameter changed."""
+    with tempfile.TemporaryDirectory() as folder:
+        return run(read_scenario(name), Path(folder), {parameter: value} if parameter else {}, figures=False)
+
+
 @pytest.mark.parametrize("name", shipped_names())
-def test_shipped_scenarios_keep_their_expectations(name: str, tmp_path: Path) -> None:
-    scenario = read_scenario(name)
-    scene = scenario.scene
+def test_shipped_scenarios_keep_their_expectations(name: str) -> None:
+    scene = read_scenario(name).scene
     meshes = [scene.folder / body.mesh for body in (*scene.tissue, *scene.bodies) if body.mesh]
     missing = [mesh for mesh in meshes if not mesh.is_file()]
     if missing:
         pytest.skip(f"{missing[0].name} is not in shared/meshes beside the checkout")
-    outcome = run(scenario, tmp_path, figures=False)
     broken = [
-        (v.expectation.output, v.expectation.statistic, v.bounds, v.found) for v in outcome.verdicts if not v.holds
+        (v.expectation.output, v.expectation.statistic, v.bounds, v.found) for v in ran(name).verdicts if not v.holds
     ]
     assert broken == []
 
@@ -337,6 +344,83 @@ def test_shipped_scenarios_account_for_energy_and_give_reasons(name: str) -> Non
     assert (balance.statistic, balance.of) == ("peak", "energy.work")
     assert balance.at_most is not None and balance.at_most <= 0.01
     assert all(e.reason for e in expected)
+
+
+def test_friction_is_its_share_of_the_normal_force() -> None:
+    rough, smooth = (o.trace.vector("tip.force") for o in (ran("slide"), ran("slide", "contact.friction", 0.0)))
+    pressed = rough[:, 2] > 0.05
+    assert pressed.sum() > 1000
+    # What is left without friction is the slope of the dome. The share of the vertical force alone is greater, as
+    # friction goes with the pressure on all of the curved dent.
+    share = np.abs(rough[pressed, 0] - smooth[pressed, 0]) / rough[pressed, 2]
+    assert share.min() > 0.19
+    assert share.max() < 0.22
+
+
+def test_an_organ_that_keeps_its_volume_is_harder() -> None:
+    full, empty = (
+        o.summary.peak_force["finger"] for o in (ran("palpation"), ran("palpation", "organ.volumeStiffness"))
+    )
+    assert full > 2 * empty
+
+
+@pytest.mark.parametrize(("stiffness", "least", "most"), [(5e6, 0.998, 1.0), (0.0, 0.5, 0.996)])
+def test_the_volume_under_the_finger(stiffness: float, least: float, most: float) -> None:
+    scenario = read_scenario("palpation")
+    assembly = run_module.tuned(assemble(scenario.scene), {"organ.volumeStiffness": stiffness})
+    inputs = np.tile(assembly.inputs, (446, 1))  # up to the peak of the first stroke
+    sampled = scenario.stimulus.sample(1e-3 * np.arange(446))
+    for variable in assembly.variables:
+        if variable.block == "inputs" and variable.name in sampled:
+            inputs[:, variable.slot] = sampled[variable.name]
+    state, model = rollout(assembly, inputs, 1e-3).state, assembly.model
+    corners = np.column_stack([state.x, state.y, state.z])[
+        np.column_stack([model.triangle_a, model.triangle_b, model.triangle_c])
+    ]
+    volume = np.linalg.det(corners).sum() / 6
+    assert least < volume / model.tissue_volume[0] < most
+
+
+def test_bone_stiffens_the_force() -> None:
+    trace = ran("bone").trace
+    going = np.flatnonzero(np.diff(trace.column("probe.position[3]")) < 0)
+    z, force = trace.column("probe.position[3]")[going], trace.column("probe.force[3]")[going]
+    soft, hard = (z > -0.0029) & (z < -0.002), z < -0.0031
+    slopes = [-np.polyfit(z[part], force[part], 1)[0] for part in (soft, hard)]
+    assert slopes[0] > 30
+    assert slopes[1] > 20 * slopes[0]
+
+
+def test_two_graspers_feel_the_same_pull() -> None:
+    trace = ran("stretch").trace
+    left, right = trace.vector("left.force"), trace.vector("right.force")
+    pulled = left[:, 0] > 0.1
+    assert pulled.sum() > 400
+    assert np.abs(left + right)[pulled].max() < 0.02 * left[:, 0].max()
+
+
+def test_jaws_that_grip_harder_do_not_slip() -> None:
+    slipping, firm = ran("retract"), ran("retract", "grasper.graspSlipForce", 20.0)
+    held = [o.trace.column("grasper.grasped") for o in (slipping, firm)]
+    assert held[0].max() == held[1].max()
+    open_again = int(np.flatnonzero(slipping.trace.column("grasper.jaw") == 0).max())
+    assert held[0][open_again] == 0
+    assert held[1][open_again] == held[1].max()
+    assert held[1][-1] == 0
+    # in between the tissue does not leave the jaws all at once
+    assert ((held[0] > 0) & (held[0] < held[0].max())).sum() > 20
+    assert firm.summary.peak_force["grasper"] > 2 * slipping.summary.peak_force["grasper"]
+
+
+def test_the_poke_goes_through_at_two_metres_a_second() -> None:
+    trace = ran("poke").trace
+    z = trace.column("rod.position[3]")
+    assert np.abs(np.diff(z) / np.diff(trace.time)).max() == pytest.approx(2.0, rel=0.01)
+    # once pierced, the near side bears the rod no more, and the far side never does
+    beyond = (z < -0.01) & (np.gradient(z) < 0)
+    assert beyond.sum() > 10
+    peak = trace.column("rod.force[3]").max()
+    assert np.abs(trace.vector("rod.force")[beyond]).max() < 0.1 * peak
 
 
 # --- figures ----------------------------------------------------------------------------------------------
@@ -421,3 +505,13 @@ def test_history_shows_when_jaws_hold() -> None:
         for held in ([0, 0, 0, 0], [0, 4, 4, 0])
     ]
     assert grey[1] > grey[0] + 0.1  # the grid is as grey
+
+
+def test_history_of_a_grasper_that_touches_nothing_shows_how_much_it_holds() -> None:
+    def drawn(held: list[float], depth: list[float]) -> np.ndarray:
+        return pixels(history(trace(**moved("a", [0, 1, 1, 0], grasped=held, depth=depth)), ["a"], "t"))
+
+    all_of_it, less = [0, 4, 4, 0], [0, 4, 2, 0]
+    nothing, some = [0, 0, 0, 0], [0, 1e-3, 1e-3, 0]
+    assert not np.array_equal(drawn(all_of_it, nothing), drawn(less, nothing))
+    assert np.array_equal(drawn(all_of_it, some), drawn(less, some))
