@@ -51,7 +51,11 @@ ARGUMENTS = {
 }
 
 # Blocks that the first figure of a status's detail is a slot of.
-SLOT_BLOCK = {status.NONFINITE_INPUT: "inputs", status.PARAMETER_RANGE: "parameters"}
+SLOT_BLOCK = {
+    status.NONFINITE_INPUT: "inputs",
+    status.PARAMETER_RANGE: "parameters",
+    status.NONFINITE_OUTPUT: "outputs",
+}
 
 
 def fields() -> list[tuple[str, str, str]]:

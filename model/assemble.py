@@ -29,6 +29,8 @@ INTEGRATORS = {
     "runge_kutta_4": RUNGE_KUTTA_4,
 }  # fmt: skip
 
+POINTS_OF_PAIR = 64  # pressed points of all contacts for every pair of solver.max_pairs: 8 MB at its default
+
 
 def assemble(scene: Scene) -> Assembly:
     """Arrays and variables of a scene.
@@ -130,7 +132,6 @@ def _model(scene: Scene, sheets: list[Sheet], bodies: list[Body]) -> Model:
         tissue_vertex_start=vertex_start,
         tissue_spring_start=_starts([len(s.springs) for s in sheets]),
         tissue_triangle_start=triangle_start,
-        tissue_contacts=np.array([_pull_count(scene, t.name) for t in scene.tissue]),
         spring_i=springs[:, 0],
         spring_j=springs[:, 1],
         triangle_a=triangles[:, 0],
@@ -281,12 +282,6 @@ def _holds(scene: Scene, vertex_start: Any) -> dict[str, Any]:
     }
 
 
-def _pull_count(scene: Scene, tissue: str) -> int:
-    """How many contacts and holds may act on one vertex of a tissue."""
-    graspers = [g.name for g in graspers_of(scene)]
-    return sum(1 + (c.between[1] in graspers) for c in scene.contact if c.between[0] == tissue)
-
-
 def _probes(scene: Scene, sheets: list[Sheet], starts: IntArray) -> tuple[Any, FloatArray]:
     """Triangle of every probe, counted over all the tissues, and its areal coordinates there."""
     found = [
@@ -323,11 +318,12 @@ def _scratch(scene: Scene, model: Model) -> Scratch:
     bodies, vertices, springs = len(model.body_radius), len(model.rest_x), len(model.spring_i)
     capacity = max((end - begin for begin, end in pairwise(model.contact_touch_start)), default=0)
     cells = max((end - begin - 1 for begin, end in pairwise(model.grid_cell_start)), default=0)
-    implicit = scene.solver.integrator == "implicit_euler"
+    implicit, symplectic = (scene.solver.integrator == f"{kind}_euler" for kind in ("implicit", "symplectic"))
     staged = implicit or scene.solver.integrator == "runge_kutta_4"
     solved = implicit or any(tissue.damping > 0.0 for tissue in scene.tissue)
-    # every touch, every point of every tissue for each of its contacts, every anchor
+    # every touch, every point of every tissue for each of its contacts, every anchor, as far as that is not absurd
     points = len(model.point_area) * len(scene.contact) + len(scene.contact) * capacity + int(model.grasp_start[-1])
+    points = min(points, POINTS_OF_PAIR * scene.solver.max_pairs) if implicit or symplectic else 0
     sizes = {
         "cells": 3,
         "cell_stamp": cells,
@@ -335,6 +331,7 @@ def _scratch(scene: Scene, model: Model) -> Scratch:
         "detail": 2,
         "expansion": 256,
         "vertex_share": vertices if capacity else 0,
+        **dict.fromkeys(("vertex_damping", "vertex_friction"), vertices if symplectic and scene.contact else 0),
         "pose": slots.POSE * len(scene.instrument),
         "motion": 6 * bodies,
         "contact": slots.GATHER * bodies,
@@ -348,7 +345,7 @@ def _scratch(scene: Scene, model: Model) -> Scratch:
         "volume_gradient": 3 * vertices if implicit else 0,
     }
     groups = {
-        "touch_": capacity, "pair_": capacity, "part_": len(model.part_reach), "active_": points if implicit else 0,
+        "touch_": capacity, "pair_": capacity, "part_": len(model.part_reach), "active_": points,
     }  # fmt: skip
     for name in Scratch._fields:
         group = next((n for prefix, n in groups.items() if name.startswith(prefix)), vertices)

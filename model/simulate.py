@@ -1,5 +1,6 @@
 """Run an assembled scene in Python: the same step as in the FMU, compiled just in time."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from tissue_contact.errors import WorkError
 from tissue_contact.kernels.bundle import Bundle
 from tissue_contact.kernels.layout import Index, Model, Real, Scratch, State
 from tissue_contact.kernels.step import initialize, step
-from tissue_contact.status import OK, STATUSES
+from tissue_contact.status import OK, PARAMETER_RANGE, STATUSES
 
 
 class Rollout(NamedTuple):
@@ -36,6 +37,10 @@ class Instance:
         self.parameters = assembly.parameters.copy()
         self.inputs = assembly.inputs.copy()
         self.outputs = assembly.outputs.copy()
+        self._ranges = np.full((2, assembly.parameters.size), [[-np.inf], [np.inf]])
+        for v in assembly.variables:
+            if v.block == "parameters":
+                self._ranges[:, v.slot] = v.minimum, v.maximum
 
     def _arguments(self) -> tuple[Bundle, Real, Bundle, Real]:
         return self._model, self.parameters, self._state, self.inputs
@@ -50,21 +55,31 @@ class Instance:
 
     def initialize(self) -> None:
         """Put the instruments at the poses of the inputs; outputs follow. Raises WorkError."""
+        before = self.copy_state()
         self.restore_state((self._assembly.state_index, self._assembly.state_real))
-        self._done(initialize(*self._arguments(), self.outputs, self._scratch))
+        self._do(initialize, (), before)
 
     def step(self, h: float) -> None:
         """One communication step h [s]. Raises WorkError; the state from before the step then stays."""
-        saved, given = self.copy_state(), self.outputs.copy()
-        status = step(*self._arguments(), h, self.outputs, self._scratch)
+        self._do(step, (h,), self.copy_state())
+
+    def _do(self, entry: Callable[..., int], more: tuple[float, ...], saved: tuple[Index, Real]) -> None:
+        """Run an entry of the kernels; if it fails, everything that persists is as it was saved."""
+        given = self.outputs.copy()
+        status = self._check_parameters() or entry(*self._arguments(), *more, self.outputs, self._scratch)
         if status != OK:
             self.restore_state(saved)
             self.outputs[:] = given
-        self._done(status)
-
-    def _done(self, status: int) -> None:
-        if status != OK:
             raise WorkError(STATUSES[status].message % tuple(self.scratch.detail))
+
+    def _check_parameters(self) -> int:
+        """Hold the parameters to their ranges, as the FMU does when they are set; the status."""
+        low, high = self._ranges
+        wrong = np.flatnonzero(~((self.parameters >= low) & (self.parameters <= high)))
+        if wrong.size == 0:
+            return OK
+        self.scratch.detail[:] = wrong[0], self.parameters[wrong[0]]
+        return PARAMETER_RANGE
 
 
 def rollout(assembly: Assembly, inputs: Real, h: float, parameters: Real | None = None) -> Rollout:

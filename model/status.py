@@ -13,6 +13,9 @@ TOO_MANY_PAIRS = 4
 SUBSTEP_BUDGET = 5
 NONFINITE_STATE = 6
 ENERGY_GAIN = 7
+STEP_SIZE = 8
+NONFINITE_OUTPUT = 9
+TOO_MANY_POINTS = 10
 
 
 class Status(NamedTuple):
@@ -34,7 +37,8 @@ STATUSES = (
         NONFINITE_INPUT,
         "nonfinite_input",
         False,
-        "input slot %g is %g: every input must be finite. The step was not begun; set the input and call again",
+        "input slot %g is %g: every input must be finite and between -1e6 and 1e6. The step was not begun; set the "
+        "input and call again",
     ),
     Status(
         ZERO_QUATERNION,
@@ -76,5 +80,25 @@ STATUSES = (
         True,
         "the step would have gained %g J from nowhere, and %g J are allowed: the state from before the step stays. "
         "Take a smaller communication step, lower solver.safety or the stiffness, or raise solver.energy_gain",
+    ),
+    Status(
+        STEP_SIZE,
+        "step_size",
+        False,
+        "the communication step is %g s: it must be 0, or from 1e-100 s to %g s. The step was not begun",
+    ),
+    Status(
+        NONFINITE_OUTPUT,
+        "nonfinite_output",
+        False,
+        "the step would have left an output that is not finite (slot %g, value %g): the state from before the step "
+        "stays. Lower the stiffness or damping, or move the instruments less far",
+    ),
+    Status(
+        TOO_MANY_POINTS,
+        "too_many_points",
+        False,
+        "the contacts press more than %g points at once (%g): the state from before the step stays. Raise "
+        "solver.max_pairs in the scene, or a contact's quadrature_spacing",
     ),
 )

@@ -81,7 +81,7 @@ def chain(
     springs = np.arange(n - 1)
     rate = 4.0 * stiffness  # the Laplacian of a chain has its eigenvalues below 4 k
     model = base.model._replace(
-        tissue_vertex_start=[0, n], tissue_spring_start=[0, n - 1], tissue_triangle_start=[0, 0], tissue_contacts=[0],
+        tissue_vertex_start=[0, n], tissue_spring_start=[0, n - 1], tissue_triangle_start=[0, 0],
         triangle_a=[], triangle_b=[], triangle_c=[],
         spring_i=springs, spring_j=springs + 1, spring_rest=np.full(n - 1, spacing),
         spring_stiffness=np.full(n - 1, stiffness), spring_damping=np.full(n - 1, damping),

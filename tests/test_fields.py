@@ -1,7 +1,6 @@
 """Signed distance fields against closed forms, brute force and scipy; k-DOPs and quadrature against definitions."""
 
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -21,19 +20,9 @@ R = 0.004  # [m] of the round shapes here
 CAPSULE, BALL, BOX, ROD, UNEVEN = range(5)  # parts of `SEVERAL`
 
 
-class Fields(NamedTuple):
-    """What the kernels read of a Model."""
-
-    part_field: np.ndarray
-    field_start: np.ndarray
-    field_value: np.ndarray
-    field_size: np.ndarray
-    field_low: np.ndarray
-    field_spacing: np.ndarray
-
-
 def model_of(*parts):
-    return Fields(
+    """The arrays of some fields as `fields_of` gives them."""
+    return (
         np.array([f.kind for f in parts], np.uint32),
         np.cumsum([0] + [len(f.values) for f in parts]).astype(np.uint32),
         np.concatenate([f.values for f in parts]),
@@ -223,7 +212,7 @@ def test_other_shapes_have_no_primitive():
 def test_the_grid_is_scipys_spline(seed):
     points = LOW + SPACING * np.random.default_rng(seed).uniform(0.5, np.array(NODES) - 1.5, (20, 3))
     phi, _ = at(SEVERAL, UNEVEN, points)
-    coefficients = SEVERAL.field_value[SEVERAL.field_start[UNEVEN] :].reshape(NODES)
+    coefficients = SEVERAL[2][SEVERAL[1][UNEVEN] :].reshape(NODES)
     expected = map_coordinates(coefficients, ((points - LOW) / SPACING).T, order=2, prefilter=False)
     np.testing.assert_allclose(phi, expected, atol=1e-15, rtol=1e-10)
 

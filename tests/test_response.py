@@ -135,16 +135,21 @@ PROBE = """
     [[instrument]]
     shape = {{ kind = "capsule", radius = 0.003, length = 0.03, triangles = 300 }}
     [[contact]]
-    stiffness = 200.0
-    damping = 0.05
-    response = "{response}"
+    friction = 0.3
+    {contact}
 """
+WHOLE = 'stiffness = 200.0\ndamping = 0.05\nresponse = "{}"\n'
+CONTACTS = {
+    **{response: WHOLE.format(response) for response in ("oobb", "hull", "kdop", "oobb_literal", "primitive")},
+    "field": "stiffness_per_area = 2e7\ndamping_per_area = 5e3\n",
+    "hunt_crossley": 'law = "hunt_crossley"\nstiffness_per_area = 1e10\nexponent = 2.0\ndissipation = 5.0\n',
+}
 
 
-@pytest.mark.parametrize("response", ["oobb", "hull"])
-def test_force_and_torque_are_equal_and_opposite(response):
+@pytest.mark.parametrize("contact", CONTACTS)
+def test_force_and_torque_are_equal_and_opposite(contact):
     """The forces on the vertices and the wrench on the instrument sum to nothing, about any point."""
-    assembly = assembled(PROBE.format(solver="", response=response))
+    assembly = assembled(PROBE.format(solver="", contact=CONTACTS[contact]))
     turn = Rotation.from_euler("xyz", [20, -35, 50], degrees=True).as_quat(scalar_first=True)
     instance = Instance(assembly)
     instance.inputs[:] = [0.004, 0.003, 0.009, *turn]
@@ -179,8 +184,15 @@ def momentum(instance: Instance) -> np.ndarray:
     return np.concatenate([p.sum(axis=0), np.cross(np.array([s.x, s.y, s.z]).T, p).sum(axis=0)])
 
 
-def test_momentum_of_a_free_organ_changes_by_the_impulse_of_the_instrument():
-    assembly = assembled(PROBE.format(solver="", response="oobb"))
+SCHEMES = ("symplectic_euler", "explicit_euler", "implicit_euler", "runge_kutta_4")
+
+
+@pytest.mark.parametrize(
+    ("contact", "scheme"), [*((c, SCHEMES[0]) for c in CONTACTS), *(("field", s) for s in SCHEMES[1:])]
+)
+def test_momentum_of_a_free_organ_changes_by_the_impulse_of_the_instrument(contact, scheme):
+    solver = f'integrator = "{scheme}"' + ("\nsubsteps = 200" if scheme == "explicit_euler" else "")
+    assembly = assembled(PROBE.format(solver=solver, contact=CONTACTS[contact]))
     poses = moving_poses(40)
     instance = settled(assembly, poses[0])
     pushed = 0.0
@@ -190,13 +202,15 @@ def test_momentum_of_a_free_organ_changes_by_the_impulse_of_the_instrument():
         instance.step(1e-3)
         impulse = -1e-3 * instance.outputs[vector(assembly, "instrument.meanForce")]
         pushed += np.linalg.norm(impulse)
-        # Rounding only: 1e-15 of the momenta of the single vertices, some 1e-6 N·s each.
-        assert momentum(instance)[:3] - before[:3] == pytest.approx(impulse, abs=1e-15)
+        # Rounding only: 1e-15 of the momenta of the single vertices, some 1e-6 N·s each; implicit Euler ends its
+        # iteration at 1e-6 of the first residual.
+        rounding = 1e-15 + (scheme == "implicit_euler") * 1e-5 * np.linalg.norm(impulse)
+        assert momentum(instance)[:3] - before[:3] == pytest.approx(impulse, abs=rounding)
     assert pushed > 5e-5
 
 
 def test_springs_and_dampers_conserve_momentum_and_angular_momentum():
-    assembly = assembled(PROBE.format(solver="", response="oobb"))
+    assembly = assembled(PROBE.format(solver="", contact=CONTACTS["oobb"]))
     instance = settled(assembly, [0.0, 0.0, 0.5, 1, 0, 0, 0])
     rng = np.random.default_rng(34)
     for v in (instance.state.vx, instance.state.vy, instance.state.vz):
@@ -215,7 +229,8 @@ def run(assembly, poses) -> np.ndarray:
     return np.hstack([outputs[:, vector(assembly, f"instrument.{name}")] for name in ("force", "torque", "meanForce")])
 
 
-def test_renumbering_and_rigid_motion_change_nothing(tmp_path):
+@pytest.mark.parametrize("contact", ["hull", "kdop", "field", "hunt_crossley"])
+def test_renumbering_and_rigid_motion_change_nothing(contact, tmp_path):
     """Over 40 steps of contact; rounding may grow with the motion, but stays far below the force."""
     organ = shapes.ellipsoid((0.02, 0.015, 0.012), 400, 3)
     rng = np.random.default_rng(35)
@@ -226,12 +241,12 @@ def test_renumbering_and_rigid_motion_change_nothing(tmp_path):
     turned = np.stack([np.roll(t, rng.integers(3)) for t in shuffled])
     write_mesh(tmp_path / "plain.obj", organ.vertices, organ.triangles)
     write_mesh(tmp_path / "shuffled.obj", organ.vertices[order], turned)
-    text = PROBE.format(solver="", response="hull")
+    text = PROBE.format(solver="", contact=CONTACTS[contact])
     shape = text[text.index('shape = { kind = "ellipsoid"') : text.index("areal_density")]
     poses = moving_poses(40)
     plain = run(assembled(text.replace(shape, 'mesh = "plain.obj"\n'), tmp_path), poses)
     peak = abs(plain[:, :3]).max()
-    assert peak > 0.02
+    assert peak > 0.005
     renumbered = run(assembled(text.replace(shape, 'mesh = "shuffled.obj"\n'), tmp_path), poses)
     assert renumbered == pytest.approx(plain, abs=1e-8 * peak)
 

@@ -11,4 +11,4 @@ kernel = njit(cache=True, error_model="numpy")
 inner = njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 # For kernels that are called once for every point of a contact, where a call would cost as much as the work.
-pointwise = njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
+pointwise = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, forceinline=True)

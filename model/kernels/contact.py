@@ -45,7 +45,7 @@ def contact_law(model, parameters, contact):
 
 
 @pointwise
-def press(law, depth, direction, velocity, load, dt):
+def press(law, depth, direction, velocity):
     """Force of the law and of friction on the tissue at one point of depth > 0, for a share or an area of 1.
 
     Parameters
@@ -58,11 +58,6 @@ def press(law, depth, direction, velocity, load, dt):
         In which the tissue is pushed; of about unit length, exactly minus the gradient of the depth.
     velocity : tuple of three
         Of the body against the tissue [m/s].
-    load : float
-        Velocity that a unit impulse gives to the tissue there, at most [1/kg, or m²/kg for forces per area].
-    dt : float
-        Substep [s]. A damper c acts as c / (1 + dt c load): implicit damping of a single point, never an overshoot for
-        many. 0 gives the law itself.
 
     Returns
     -------
@@ -73,16 +68,14 @@ def press(law, depth, direction, velocity, load, dt):
     kind, k, c, n, friction, slip_speed = law
     rate = dot(direction, velocity)
     if kind == KELVIN_VOIGT:
-        elastic, stored, tangent = k * depth, 0.5 * k * depth * depth, k
-        viscous = c / (1.0 + dt * c * load)
-        size = kelvin_voigt(depth, rate, k, viscous)
+        elastic, stored, tangent, viscous = k * depth, 0.5 * k * depth * depth, k, c
+        size = kelvin_voigt(depth, rate, k, c)
     else:
         power = depth ** (n - 1.0)
         elastic, stored, tangent = k * depth * power, k * depth * depth * power / (n + 1.0), n * k * power
-        eased = c / (1.0 + dt * elastic * c * load)
-        viscous = elastic * eased
-        size = hunt_crossley(depth, rate, k, eased, n)
-        tangent *= max(0.0, 1.0 + eased * rate)
+        viscous = elastic * c
+        size = hunt_crossley(depth, rate, k, c, n)
+        tangent *= max(0.0, 1.0 + c * rate)
     dissipated = (size - elastic) * rate
     if size == 0.0:
         tangent, viscous = 0.0, 0.0
@@ -95,12 +88,21 @@ def press(law, depth, direction, velocity, load, dt):
         sz = velocity[2] - along * direction[2]
         square = sx * sx + sy * sy + sz * sz
         sticking = coulomb(math.sqrt(square), size, friction, slip_speed)
-        sticking /= 1.0 + dt * sticking * load
         fx += sticking * sx
         fy += sticking * sy
         fz += sticking * sz
         dissipated += sticking * square
     return (fx, fy, fz), size, stored, dissipated, tangent, viscous, sticking
+
+
+@pointwise
+def press_elastic(law, depth):
+    """Spring part of a law, for a share or an area of 1: force, energy stored, and the damping of the depth's rate."""
+    kind, k, c, n, _, _ = law
+    if kind == KELVIN_VOIGT:
+        return k * depth, 0.5 * k * depth * depth, c
+    elastic = k * depth**n
+    return elastic, elastic * depth / (n + 1.0), elastic * c
 
 
 @pointwise
@@ -118,18 +120,33 @@ def scatter(fx, fy, fz, a, b, c, wa, wb, wc, force):
 
 
 @inner
-def linearise(scratch, a, b, c, wa, wb, wc, direction, normal, tangential):
-    """Note a point for the linear solve of an implicit step, which is the only one that has room for it.
+def note(scratch, a, b, c, wa, wb, wc, direction, normal, tangential):
+    """Note a pressed point for what comes after all forces are known, where there is room; the place, or -1.
 
-    ``normal`` and ``tangential`` are the derivatives of the point's impulse by the velocity [kg], dt (dt k + c) along
-    ``direction`` and dt b across it.
+    For an implicit step ``normal`` and ``tangential`` are the derivatives of the point's impulse by the velocity [kg],
+    dt (dt k + c) along ``direction`` and dt b across it. For `damping.damp_contacts` ``normal`` is the damping of the
+    depth's rate [N·s/m] and ``tangential`` the elastic force [N].
     """
-    m = scratch.active[0]
+    m = int(scratch.active[0])
+    scratch.active[0] = m + 1
+    if m >= scratch.active_a.size:
+        return -1
     scratch.active_a[m], scratch.active_b[m], scratch.active_c[m] = a, b, c
     scratch.active_wa[m], scratch.active_wb[m], scratch.active_wc[m] = wa, wb, wc
     scratch.active_x[m], scratch.active_y[m], scratch.active_z[m] = direction
     scratch.active_normal[m], scratch.active_tangential[m] = normal, tangential
-    scratch.active[0] = m + 1
+    return m
+
+
+@inner
+def note_split(scratch, m, contact, arm):
+    """Note for `damping.damp_contacts` the contact of point m and its arm from the origin of the body frame.
+
+    The numbers of holds follow those of contacts.
+    """
+    if m >= 0:
+        scratch.active_contact[m] = contact
+        scratch.active_arm_x[m], scratch.active_arm_y[m], scratch.active_arm_z[m] = arm
 
 
 @pointwise

@@ -110,7 +110,7 @@ def runge_kutta(model, parameters, state, scratch, elapsed, dt):
     for s in range(4):
         tissue_forces(model, parameters, state, scratch)
         clear_contacts(state, scratch)
-        contact_forces(model, parameters, state, scratch, elapsed + node[s] * dt, 0.0, weight[s] * dt)
+        contact_forces(model, parameters, state, scratch, elapsed + node[s] * dt, weight[s] * dt, False)
         add_pulse(scratch, weight[s] * dt)
         _accelerate(model, parameters, state, scratch, weight[s] * dt)
         b, c = weight[s], way[s] * dt

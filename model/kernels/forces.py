@@ -187,8 +187,8 @@ def clear_contacts(state, scratch):
 
 
 @inner
-def contact_forces(model, parameters, state, scratch, elapsed, dt, tau):
-    """Add the forces of all contacts with tissue and of all holds; ``dt`` and ``tau`` as for `response.respond`.
+def contact_forces(model, parameters, state, scratch, elapsed, tau, split):
+    """Add the forces of all contacts with tissue and of all holds; ``tau`` and ``split`` as for `response.respond`.
 
     Returns
     -------
@@ -202,17 +202,17 @@ def contact_forces(model, parameters, state, scratch, elapsed, dt, tau):
             if state.near_count[k] > 0:
                 r, p = pose_of(state, scratch, body, elapsed)
                 velocity, spin = motion_of(scratch, body)
-                stored += press_tissue(model, parameters, state, scratch, k, r, p, velocity, spin, dt, tau)
+                stored += press_tissue(model, parameters, state, scratch, k, r, p, velocity, spin, tau, split)
         elif kind != BODIES and state.touches[k] > 0:
             r, p = pose_of(state, scratch, body, elapsed)
             velocity, spin = motion_of(scratch, body)
-            stored += respond(model, parameters, state, scratch, k, r, p, velocity, spin, dt, tau)
+            stored += respond(model, parameters, state, scratch, k, r, p, velocity, spin, tau, split)
     for g in range(model.grasp_body.size):
         if state.held[g] > 0:
             body = model.grasp_body[g]
             r, p = pose_of(state, scratch, body, elapsed)
             velocity, spin = motion_of(scratch, body)
-            stored += pull(model, parameters, state, scratch, g, r, p, velocity, spin, dt, tau)
+            stored += pull(model, parameters, state, scratch, g, r, p, velocity, spin, tau, split)
     return stored
 
 

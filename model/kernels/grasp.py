@@ -8,7 +8,7 @@ of the slip force it slides after the tissue, and out of the reach of the jaws i
 import math
 
 from tissue_contact.kernels.compiled import inner
-from tissue_contact.kernels.contact import gather, linearise, moving_point
+from tissue_contact.kernels.contact import gather, moving_point, note, note_split
 from tissue_contact.kernels.slots import (
     AREAL_DENSITY,
     CONTACT_PARAMETERS,
@@ -89,7 +89,7 @@ def open_jaws(model, parameters, state, g, r, p):
 
 
 @inner
-def pull(model, parameters, state, scratch, g, r, p, velocity, spin, dt, tau):
+def pull(model, parameters, state, scratch, g, r, p, velocity, spin, tau, split):
     """Add the forces of hold g to the tissue and to its body; arguments and result as for `response.respond`."""
     own = grasp_slots(model, g)
     k, c, slip = (
@@ -97,7 +97,7 @@ def pull(model, parameters, state, scratch, g, r, p, velocity, spin, dt, tau):
         parameters[own + GRASP_DAMPING],
         parameters[own + GRASP_SLIP_FORCE],
     )
-    c /= 1.0 + dt * c * model.tissue_contacts[model.grasp_tissue[g]] * grasp_load(model, parameters, state, g)
+    viscous = 0.0 if split else c
     total = 0.0
     for m in range(model.grasp_start[g], model.grasp_start[g] + state.held[g]):
         v = state.anchor_vertex[m]
@@ -107,9 +107,9 @@ def pull(model, parameters, state, scratch, g, r, p, velocity, spin, dt, tau):
         spring = share * (k if k * way <= slip else slip / way)
         speed = moving_point(velocity, spin, arm)
         u = (speed[0] - state.vx[v], speed[1] - state.vy[v], speed[2] - state.vz[v])
-        fx = spring * e[0] + share * c * u[0]
-        fy = spring * e[1] + share * c * u[1]
-        fz = spring * e[2] + share * c * u[2]
+        fx = spring * e[0] + share * viscous * u[0]
+        fy = spring * e[1] + share * viscous * u[1]
+        fz = spring * e[2] + share * viscous * u[2]
         scratch.fx[v] += fx
         scratch.fy[v] += fy
         scratch.fz[v] += fz
@@ -123,11 +123,14 @@ def pull(model, parameters, state, scratch, g, r, p, velocity, spin, dt, tau):
             0.0,
         )
         slope = tau * (tau * spring + share * c)
-        if scratch.active_a.size > 0:
-            linearise(scratch, v, v, v, 1.0, 0.0, 0.0, (1.0, 0.0, 0.0), slope, slope)
+        if split:
+            place = note(scratch, v, v, v, 1.0, 0.0, 0.0, (1.0, 0.0, 0.0), share * c, 0.0)
+            note_split(scratch, place, model.contact_body.size + g, arm)
+        elif scratch.active_a.size > 0:
+            note(scratch, v, v, v, 1.0, 0.0, 0.0, (1.0, 0.0, 0.0), slope, slope)
         total += share * _stored(way, k, slip)
         state.work[0] += tau * (speed[0] * fx + speed[1] * fy + speed[2] * fz)
-        state.dissipated[0] += tau * share * c * dot(u, u)
+        state.dissipated[0] += tau * share * viscous * dot(u, u)
     return total
 
 

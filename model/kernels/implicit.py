@@ -24,7 +24,7 @@ from tissue_contact.kernels.springs import damp_product
 from tissue_contact.kernels.vectors import cross, dot
 
 NEWTON = 12  # iterations at most
-RESIDUAL = 1e-4  # of the first residual, at which the iteration ends: far below the error of the scheme
+RESIDUAL = 1e-6  # of the first residual, at which the iteration ends: far below the error of the scheme
 FLOOR = 1e-24  # [J], square of a residual over the masses, below which there is nothing to solve
 HALVINGS = 4
 FORCING = 1e-2  # of a Newton step's residual, to which its linear system is solved
@@ -153,7 +153,7 @@ def _product(model, parameters, state, scratch, dt, n, p, q):
             q[v] += m * p[v]
             q[n + v] += m * p[n + v]
             q[2 * n + v] += m * p[2 * n + v]
-    for k in range(scratch.active[0]):
+    for k in range(min(int(scratch.active[0]), scratch.active_a.size)):
         a, b, c = scratch.active_a[k], scratch.active_b[k], scratch.active_c[k]
         wa, wb, wc = scratch.active_wa[k], scratch.active_wb[k], scratch.active_wc[k]
         g = (scratch.active_x[k], scratch.active_y[k], scratch.active_z[k])
@@ -188,7 +188,7 @@ def _residual(model, parameters, state, scratch, elapsed, dt, n, r):
         state.z[v] = start[2 * n + v] + dt * state.vz[v]
     tissue_forces(model, parameters, state, scratch)
     clear_contacts(state, scratch)
-    contact_forces(model, parameters, state, scratch, elapsed + dt, 0.0, dt)
+    contact_forces(model, parameters, state, scratch, elapsed + dt, dt, False)
     total = 0.0
     gravity = model.gravity
     for tissue in range(model.tissue_rate.size):

@@ -30,7 +30,6 @@ class Model(NamedTuple):
     tissue_vertex_start: Index  # shape [n + 1]
     tissue_spring_start: Index  # shape [n + 1]
     tissue_triangle_start: Index  # shape [n + 1]
-    tissue_contacts: Index  # shape [n], contacts and holds of a tissue
     spring_i: Index  # shape [S], first vertex
     spring_j: Index  # shape [S], second vertex
     triangle_a: Index  # shape [T]
@@ -194,8 +193,8 @@ class State(NamedTuple):
 class Scratch(NamedTuple):
     """Room to work in; meaningless between calls, but for ``detail`` after a status other than OK.
 
-    M is the most touches of a contact; C the most cells that a body's grid has; E the points that an implicit step may
-    press at once, 1 without such a step.
+    M is the most touches of a contact; C the most cells that a body's grid has; E the points that a substep of
+    symplectic or implicit Euler may press at once.
     """
 
     outcode: Index  # shape [V], which faces of the body's box a vertex lies beyond, a bit a face
@@ -205,7 +204,8 @@ class Scratch(NamedTuple):
     hit: Index  # shape [U], body triangles that intersect one tissue triangle
     pair_triangle: Index  # shape [M], tissue triangle of a pair
     pair_instrument: Index  # shape [M], body triangle of a pair
-    active: Index  # shape [1], points in use of those below
+    active: Index  # shape [1], pressed points that were noted, or would have been
+    active_contact: Index  # shape [E]
     active_a: Index  # shape [E], corners of the tissue triangle
     active_b: Index  # shape [E]
     active_c: Index  # shape [E]
@@ -219,6 +219,8 @@ class Scratch(NamedTuple):
     local_z: Real  # [m], shape [V]
     loss: Real  # [J], shape [V], dissipated at a vertex within the step
     vertex_share: Real  # [1], shape [V where triangles are looked for, else 0], share of the force that a vertex takes
+    vertex_damping: Real  # [N·s/m], shape [V where symplectic Euler meets a contact, else 0], lumped dampers
+    vertex_friction: Real  # [N], shape as vertex_damping, lumped full friction
     touch_length: Real  # [m], shape [M], length of the intersection curve within the triangle
     touch_pairs: Real  # [1], shape [M]
     part_length: Real  # [m], shape [P], length of the intersection curve of a part
@@ -244,8 +246,11 @@ class Scratch(NamedTuple):
     active_x: Real  # [1], shape [E], direction of its push
     active_y: Real  # [1], shape [E]
     active_z: Real  # [1], shape [E]
-    active_normal: Real  # [kg], shape [E], see `contact.linearise`
-    active_tangential: Real  # [kg], shape [E]
+    active_normal: Real  # [kg or N·s/m], shape [E], see `contact.note`
+    active_tangential: Real  # [kg or N], shape [E]
+    active_arm_x: Real  # [m], shape [E], from the origin of the body frame
+    active_arm_y: Real  # [m], shape [E]
+    active_arm_z: Real  # [m], shape [E]
 
 
 Bundle = TypeVar("Bundle", Model, State, Scratch)

@@ -25,7 +25,7 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
         detect_all(model, state, scratch, 0.0)
     for _ in range(int(parameters[n + 1]) * substeps):
         clear_contacts(state, scratch)
-        contact_forces(model, parameters, state, scratch, 0.0, 0.0, 0.0)
+        contact_forces(model, parameters, state, scratch, 0.0, 0.0, False)
     for _ in range(int(parameters[n + 2]) * substeps):
         tissue_forces(model, parameters, state, scratch)
         symplectic_euler(model, parameters, state, scratch, 0.0)

@@ -42,7 +42,7 @@ def give(model, parameters, state, scratch, h, substeps, outputs):
         Energy stored in tissue, contacts and holds [J].
     """
     clear_contacts(state, scratch)
-    contact = contact_forces(model, parameters, state, scratch, h, 0.0, 0.0)
+    contact = contact_forces(model, parameters, state, scratch, h, 0.0, False)
     contact += body_forces(model, parameters, state, scratch, h, 0.0)
     bodies = state.pose.size // POSE
     for i in range(bodies):

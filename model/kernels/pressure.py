@@ -5,23 +5,31 @@ the field's distance and the push follows its gradient exactly, so the force is 
 """
 
 from tissue_contact.kernels.compiled import inner
-from tissue_contact.kernels.contact import contact_law, gather, linearise, moving_point, press, scatter
+from tissue_contact.kernels.contact import (
+    contact_law,
+    gather,
+    moving_point,
+    note,
+    note_split,
+    press,
+    press_elastic,
+    scatter,
+)
 from tissue_contact.kernels.field import body_distance, fields_of
 from tissue_contact.kernels.side import REJECTED
-from tissue_contact.kernels.slots import AREAL_DENSITY, GATHER, GATHER_REGIONS, TISSUE_PARAMETERS
+from tissue_contact.kernels.slots import GATHER, GATHER_REGIONS
 from tissue_contact.kernels.vectors import dot, to_body, to_world
 
 
 @inner
-def press_tissue(model, parameters, state, scratch, contact, r, p, velocity, spin, dt, tau):
+def press_tissue(model, parameters, state, scratch, contact, r, p, velocity, spin, tau, split):
     """Add the forces between the points of a tissue and the field of a body; arguments and result as for `respond`."""
     tissue, body = model.contact_tissue[contact], model.contact_body[contact]
     first_part, last_part = model.body_part_start[body], model.body_part_start[body + 1]
-    load = model.tissue_contacts[tissue] / parameters[TISSUE_PARAMETERS * tissue + AREAL_DENSITY]
     sides = model.contact_side_start[contact]
     origin = model.tissue_triangle_start[tissue]
     begin = model.contact_near_start[contact]
-    fields, law, implicit = fields_of(model), contact_law(model, parameters, contact), scratch.active_a.size > 0
+    fields, law, noted = fields_of(model), contact_law(model, parameters, contact), scratch.active_a.size > 0
     row, out = GATHER * body, scratch.contact
     fx, fy, fz = scratch.fx, scratch.fy, scratch.fz
     x, y, z, vx, vy, vz = state.x, state.y, state.z, state.vx, state.vy, state.vz
@@ -50,13 +58,20 @@ def press_tissue(model, parameters, state, scratch, contact, r, p, velocity, spi
                 own[2] - (wa * vz[a] + wb * vz[b] + wc * vz[c]),
             )
             depth, area = -distance, model.point_area[q]
-            unit, size, stored, power, tangent, viscous, sticking = press(law, depth, direction, against, load, dt)
+            if split:
+                elastic, stored, viscous = press_elastic(law, depth)
+                size, power = elastic, 0.0
+                unit = (elastic * direction[0], elastic * direction[1], elastic * direction[2])
+                place = note(scratch, a, b, c, wa, wb, wc, direction, area * viscous, area * elastic)
+                note_split(scratch, place, contact, arm)
+            else:
+                unit, size, stored, power, tangent, viscous, sticking = press(law, depth, direction, against)
+                if noted:
+                    normal = area * tau * (tau * tangent + viscous)
+                    note(scratch, a, b, c, wa, wb, wc, direction, normal, area * tau * sticking)
             force = (area * unit[0], area * unit[1], area * unit[2])
             scatter(fx, fy, fz, a, b, c, wa, wb, wc, force)
             gather(out, row, p, arm, (-force[0], -force[1], -force[2]), area * size, depth)
-            if implicit:
-                normal = area * tau * (tau * tangent + viscous)
-                linearise(scratch, a, b, c, wa, wb, wc, direction, normal, area * tau * sticking)
             deepest = max(deepest, depth)
             total += area * stored
             work += dot(own, force)
@@ -74,7 +89,7 @@ def press_bodies(model, parameters, state, scratch, contact, r, p, velocity, spi
     """Add the forces between two rigid bodies: points of the second read depth in the field of the first.
 
     ``r``, ``p``, ``velocity``, ``spin`` are those of the body with the field, those with a 2 of the other one; the
-    rest and the result as for `respond`. Both bodies move as they are told, so nothing is eased.
+    rest and the result as for `respond`. Both bodies move as they are told, so nothing is split.
     """
     body, other = model.contact_body[contact], model.contact_other[contact]
     first_part, last_part = model.body_part_start[body], model.body_part_start[body + 1]
@@ -95,7 +110,7 @@ def press_bodies(model, parameters, state, scratch, contact, r, p, velocity, spi
         if direction[0] == 0.0 and direction[1] == 0.0 and direction[2] == 0.0:
             continue
         depth, area = -distance, model.sample_area[s]
-        unit, size, stored, power, _, _, _ = press(law, depth, direction, against, 0.0, 0.0)
+        unit, size, stored, power, _, _, _ = press(law, depth, direction, against)
         force = (area * unit[0], area * unit[1], area * unit[2])
         gather(out, row2, p2, arm2, force, area * size, depth)
         gather(out, row, p, arm, (-force[0], -force[1], -force[2]), area * size, depth)

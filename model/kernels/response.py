@@ -9,8 +9,17 @@ import math
 
 from tissue_contact.kernels.collision import LITERAL, PRIMITIVE, penetration, support
 from tissue_contact.kernels.compiled import inner
-from tissue_contact.kernels.contact import contact_law, gather, linearise, moving_point, press, scatter
-from tissue_contact.kernels.slots import AREAL_DENSITY, GATHER, GATHER_REGIONS, TISSUE_PARAMETERS
+from tissue_contact.kernels.contact import (
+    contact_law,
+    gather,
+    moving_point,
+    note,
+    note_split,
+    press,
+    press_elastic,
+    scatter,
+)
+from tissue_contact.kernels.slots import GATHER, GATHER_REGIONS
 from tissue_contact.kernels.vectors import dot, to_body, to_world
 
 LITERAL_SPEED = 1e-3  # [m/s], below which the direction of motion gives way to the normal
@@ -60,7 +69,7 @@ def _depth(model, state, contact, m, r, arm, inward, velocity):
 
 
 @inner
-def respond(model, parameters, state, scratch, contact, r, p, velocity, spin, dt, tau):
+def respond(model, parameters, state, scratch, contact, r, p, velocity, spin, tau, split):
     """Add the forces of a contact's touches to the tissue's vertices and to its body.
 
     Parameters
@@ -71,21 +80,19 @@ def respond(model, parameters, state, scratch, contact, r, p, velocity, spin, dt
         Pose of the body frame: rotation matrix, position [m].
     velocity, spin : tuple of three
         Its velocity [m/s] and angular velocity [rad/s], world frame.
-    dt : float
-        Substep [s] for `press`.
     tau : float
         Time [s] for which work and dissipation are counted.
+    split : bool
+        Only the springs of the law act now, and `damping.damp_contacts` follows.
 
     Returns
     -------
     float
         Energy [J] stored in the springs of the law.
     """
-    tissue, body = model.contact_tissue[contact], model.contact_body[contact]
+    body = model.contact_body[contact]
     first = model.contact_touch_start[contact]
-    density = parameters[TISSUE_PARAMETERS * tissue + AREAL_DENSITY]
-    load = model.tissue_contacts[tissue] * state.touch_load[contact] / density
-    law, implicit = contact_law(model, parameters, contact), scratch.active_a.size > 0
+    law, noted = contact_law(model, parameters, contact), scratch.active_a.size > 0
     row, out = GATHER * body, scratch.contact
     fx, fy, fz = scratch.fx, scratch.fy, scratch.fz
     x, y, z, vx, vy, vz = state.x, state.y, state.z, state.vx, state.vy, state.vz
@@ -109,13 +116,20 @@ def respond(model, parameters, state, scratch, contact, r, p, velocity, spin, dt
         depth, direction = _depth(model, state, contact, m, r, arm, inward, against)
         if not depth > 0.0:
             continue
-        unit, size, stored, power, tangent, viscous, sticking = press(law, depth, direction, against, load, dt)
+        if split:
+            elastic, stored, viscous = press_elastic(law, depth)
+            size, power = elastic, 0.0
+            unit = (elastic * direction[0], elastic * direction[1], elastic * direction[2])
+            place = note(scratch, a, b, c, wa, wb, wc, direction, w * viscous, w * elastic)
+            note_split(scratch, place, contact, arm)
+        else:
+            unit, size, stored, power, tangent, viscous, sticking = press(law, depth, direction, against)
+            if noted:
+                normal = w * tau * (tau * tangent + viscous)
+                note(scratch, a, b, c, wa, wb, wc, direction, normal, w * tau * sticking)
         force = (w * unit[0], w * unit[1], w * unit[2])
         scatter(fx, fy, fz, a, b, c, wa, wb, wc, force)
         gather(out, row, p, arm, (-force[0], -force[1], -force[2]), w * size, depth)
-        if implicit:
-            normal = w * tau * (tau * tangent + viscous)
-            linearise(scratch, a, b, c, wa, wb, wc, direction, normal, w * tau * sticking)
         deepest = max(deepest, depth)
         total += w * stored
         work += dot(own, force)

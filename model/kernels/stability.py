@@ -98,9 +98,7 @@ def stable_substep(model, parameters, state, scratch, h):
 
     omega² is bounded by the springs' largest eigenvalue plus support, constraints, contacts and holds: a contact of
     shares as if one vertex had to bear all of it for every part of the instrument, or what it bears now if that is
-    more; a distance field by its stiffness per area. Where the scheme takes a contact's damper at the velocity before
-    the springs' kick (symplectic Euler), a damped contact counts twice: the limit omega dt = sqrt(2 (2 + z) / (1 + z))
-    falls to sqrt(2) for large z = dt c load.
+    more; a distance field by its stiffness per area. Dampers, implicit in symplectic Euler, only raise its limit.
     """
     limit = math.inf
     scheme = model.integrator[0]
@@ -119,14 +117,12 @@ def stable_substep(model, parameters, state, scratch, h):
                 parts = int(model.body_part_start[i + 1]) - int(model.body_part_start[i])
                 load = max(parts / model.tissue_node_area_min[n], state.touch_load[k])
             spring, damper = contact_slope(model, parameters, state, k, travel(model, scratch, k, h))
-            count = 2.0 if damper > 0.0 and scheme == SYMPLECTIC_EULER else 1.0
-            stiffness += count * spring * load
+            stiffness += spring * load
             damping += damper * load
         for g in range(model.grasp_body.size):
             if model.grasp_tissue[g] == n:
                 slots, load = grasp_slots(model, g), density * grasp_load(model, parameters, state, g)
-                count = 2.0 if parameters[slots + GRASP_DAMPING] > 0.0 and scheme == SYMPLECTIC_EULER else 1.0
-                stiffness += count * parameters[slots + GRASP_STIFFNESS] * load
+                stiffness += parameters[slots + GRASP_STIFFNESS] * load
                 damping += parameters[slots + GRASP_DAMPING] * load
         square, rate = stiffness / density, damping / density
         if square == 0.0 and (rate == 0.0 or scheme == SYMPLECTIC_EULER):

@@ -7,6 +7,8 @@ import math
 
 from tissue_contact.kernels.collision import FIELD
 from tissue_contact.kernels.compiled import inner, kernel
+from tissue_contact.kernels.contact import contact_slots
+from tissue_contact.kernels.damping import count_damping, damp_contacts
 from tissue_contact.kernels.explicit import explicit_euler, runge_kutta
 from tissue_contact.kernels.forces import (
     add_pulse,
@@ -19,13 +21,19 @@ from tissue_contact.kernels.forces import (
 )
 from tissue_contact.kernels.grasp import close, open_jaws, slide
 from tissue_contact.kernels.implicit import implicit_euler
+from tissue_contact.kernels.laws import KELVIN_VOIGT
 from tissue_contact.kernels.outputs import give
-from tissue_contact.kernels.slots import BODY_OUTPUTS, ENERGY_BALANCE, POSE
+from tissue_contact.kernels.slots import (
+    BODY_OUTPUTS,
+    CONTACT_EXPONENT,
+    CONTACT_STIFFNESS,
+    ENERGY_BALANCE,
+    POSE,
+)
 from tissue_contact.kernels.stability import (
     EXPLICIT_EULER,
     IMPLICIT_EULER,
     RUNGE_KUTTA_4,
-    contact_slope,
     motion_rate,
     stable_substep,
     travel,
@@ -35,14 +43,19 @@ from tissue_contact.kernels.vectors import turn_between
 from tissue_contact.status import (
     ENERGY_GAIN,
     NONFINITE_INPUT,
+    NONFINITE_OUTPUT,
     NONFINITE_STATE,
     OK,
     PARAMETER_RANGE,
+    STEP_SIZE,
     SUBSTEP_BUDGET,
+    TOO_MANY_POINTS,
     ZERO_QUATERNION,
 )
 
 QUATERNION_NORM_MIN = 1e-6
+INPUT_MAX = 1e6  # [m, 1] size of an input: beyond any scene, and no square or product of a few overflows
+STEP_MIN, STEP_MAX = 1e-100, 1e6  # [s] between them no speed overflows and no time is lost
 ROUNDING = 1e-12  # of the energies that a balance is the difference of, and [J], that rounding may gain
 
 
@@ -50,7 +63,7 @@ ROUNDING = 1e-12  # of the energies that a balance is the difference of, and [J]
 def _check(model, parameters, inputs, scratch):
     """Refuse what no step can be made of; the instruments' poses, normalised, go to scratch.pose."""
     for k in range(inputs.size):
-        if not math.isfinite(inputs[k]):
+        if not abs(inputs[k]) <= INPUT_MAX:  # holds for not-a-number too
             scratch.detail[0], scratch.detail[1] = k, inputs[k]
             return NONFINITE_INPUT
     for k in range(parameters.size):
@@ -65,13 +78,23 @@ def _check(model, parameters, inputs, scratch):
             + inputs[q + 2] * inputs[q + 2]
             + inputs[q + 3] * inputs[q + 3]
         )
-        if not (norm >= QUATERNION_NORM_MIN and math.isfinite(norm)):
+        if not norm >= QUATERNION_NORM_MIN:
             scratch.detail[0], scratch.detail[1] = i, norm
             return ZERO_QUATERNION
         for k in range(3):
             scratch.pose[POSE * i + k] = inputs[POSE * i + k]
         for k in range(4):
             scratch.pose[q + k] = inputs[q + k] / norm
+    return OK
+
+
+@inner
+def _check_outputs(outputs, scratch):
+    """Refuse a step whose outputs overflow, though its state does not."""
+    for k in range(outputs.size):
+        if not math.isfinite(outputs[k]):
+            scratch.detail[0], scratch.detail[1] = k, outputs[k]
+            return NONFINITE_OUTPUT
     return OK
 
 
@@ -130,13 +153,15 @@ def _substeps(model, parameters, state, h, scratch):
     """Number of substeps of a step h, 0 where the budget does not allow it."""
     if model.substeps_fixed[0] > 0:
         return int(model.substeps_fixed[0])
-    needed = math.ceil(h / (model.safety[0] * stable_substep(model, parameters, state, scratch, h)))
+    needed = h / (model.safety[0] * stable_substep(model, parameters, state, scratch, h))
     if model.continuous[0] == 1:
-        needed = max(needed, math.ceil(h * motion_rate(model, state, scratch, False)))
+        needed = max(needed, h * motion_rate(model, state, scratch, False))
+    # Compared before it becomes an integer, which not every number fits into.
     if not needed <= model.substeps_max[0]:
-        scratch.detail[0], scratch.detail[1] = needed, model.substeps_max[0]
+        whole = math.ceil(needed) if needed < 1e15 else needed
+        scratch.detail[0], scratch.detail[1] = whole, model.substeps_max[0]
         return 0
-    return max(1, int(needed))
+    return max(1, math.ceil(needed))
 
 
 @inner
@@ -151,13 +176,15 @@ def _substep(model, parameters, state, scratch, elapsed, dt):
     else:
         tissue_forces(model, parameters, state, scratch)
         clear_contacts(state, scratch)
-        eased = 0.0 if scheme == EXPLICIT_EULER else dt
-        contact_forces(model, parameters, state, scratch, elapsed, eased, dt)
-        add_pulse(scratch, dt)
-        if scheme == EXPLICIT_EULER:
-            explicit_euler(model, parameters, state, scratch, dt)
-        else:
+        split = scheme != EXPLICIT_EULER
+        contact_forces(model, parameters, state, scratch, elapsed, dt, split)
+        if split:
+            damp_contacts(model, parameters, state, scratch, elapsed, dt)
             symplectic_euler(model, parameters, state, scratch, dt)
+            count_damping(model, parameters, state, scratch, dt)
+        else:
+            explicit_euler(model, parameters, state, scratch, dt)
+        add_pulse(scratch, dt)
     for g in range(model.grasp_body.size):
         if state.held[g] > 0:
             r, p = pose_of(state, scratch, model.grasp_body[g], elapsed + dt)
@@ -173,19 +200,41 @@ def _clash(model, parameters, state, scratch, elapsed, dt):
 
 
 @inner
+def _found(model, parameters, state, scratch, k, h):
+    """Energy [J] that a late detection may find in the spring of contact k.
+
+    At the depth of the thinnest part and of the motion until then, or at the present one if that is more, but no deeper
+    than the body itself allows: a tissue that flies off is no find. A field presses on both sides of a fold as large
+    as the greatest face of the body's box.
+    """
+    body, own = model.contact_body[k], contact_slots(model, k)
+    a = model.body_high[3 * body] - model.body_low[3 * body]
+    b = model.body_high[3 * body + 1] - model.body_low[3 * body + 1]
+    c = model.body_high[3 * body + 2] - model.body_low[3 * body + 2]
+    way = travel(model, scratch, k, max(h, model.detection_period[0]))
+    depth = max(model.contact_reach[k] + way, state.deepest[k])
+    if model.contact_response[k] >= FIELD:
+        depth, size = min(depth, model.contact_depth[k]), 2.0 * max(a * b, b * c, c * a)
+    else:
+        depth, size = min(depth, math.sqrt(a * a + b * b + c * c)), 0.0
+        first = model.contact_touch_start[k]
+        for m in range(first, first + state.touches[k]):
+            size += state.touch_share[m]
+        size = max(size, 1.0)
+    n = 1.0 if model.contact_law[k] == KELVIN_VOIGT else parameters[own + CONTACT_EXPONENT]
+    return size * parameters[own + CONTACT_STIFFNESS] * depth ** (n + 1.0) / (n + 1.0)
+
+
+@inner
 def _allowed_gain(model, parameters, state, scratch, h, work):
     """Energy [J] from nowhere that a step may end with.
 
-    What is stored and the work of the step, times a factor of the scene: symplectic Euler at the share s of its stable
-    limit lets the energy of a motion swing by 1 / (1 - s²). And for every contact what its spring holds at the depth of
-    the thinnest part and of the motion until a late detection finds it. And rounding.
+    What was stored before it and its work, times a factor of the scene: symplectic Euler at the share s of its stable
+    limit lets the energy of a motion swing by 1 / (1 - s²). And what late detections may find. And rounding.
     """
     found = 0.0
     for k in range(model.contact_body.size):
-        depth = model.contact_reach[k] + travel(model, scratch, k, max(h, model.detection_period[0]))
-        stiffness, _ = contact_slope(model, parameters, state, k, depth)
-        area = 4.0 * depth * depth if model.contact_response[k] >= FIELD else 1.0
-        found += 0.5 * stiffness * area * depth * depth
+        found += _found(model, parameters, state, scratch, k, h)
     size = abs(state.stored[0]) + abs(work)
     rounding = ROUNDING * (1.0 + size + abs(state.work[0]) + state.dissipated[0])
     return model.energy_gain[0] * size + found + rounding
@@ -215,7 +264,7 @@ def initialize(model, parameters, state, inputs, outputs, scratch):
     state.stored[0] = give(model, parameters, state, scratch, 0.0, 0.0, outputs)
     state.energy_start[0] = state.stored[0]
     outputs[BODY_OUTPUTS * (state.pose.size // POSE) + ENERGY_BALANCE] = 0.0
-    return OK
+    return _check_outputs(outputs, scratch)
 
 
 @kernel
@@ -244,6 +293,9 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
         return status
     scratch.motion[:] = 0.0
     scratch.pulse[:] = 0.0
+    if not (h == 0.0 or STEP_MIN <= h <= STEP_MAX):
+        scratch.detail[0], scratch.detail[1] = h, STEP_MAX
+        return STEP_SIZE
     if h == 0.0:
         give(model, parameters, state, scratch, 0.0, 0.0, outputs)
         return OK
@@ -259,6 +311,9 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
     dt = h / substeps
     for n in range(substeps):
         _substep(model, parameters, state, scratch, n * dt, dt)
+        if scratch.active_a.size > 0 and scratch.active[0] > scratch.active_a.size:
+            scratch.detail[0], scratch.detail[1] = scratch.active_a.size, scratch.active[0]
+            return TOO_MANY_POINTS
         _clash(model, parameters, state, scratch, n * dt, dt)
         state.since_detection[0] += dt
         due = model.detection_period[0]
@@ -277,10 +332,13 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
         if not math.isfinite(total):
             scratch.detail[0], scratch.detail[1] = v, total
             return NONFINITE_STATE
+    stored = give(model, parameters, state, scratch, h, substeps, outputs)
     allowed = _allowed_gain(model, parameters, state, scratch, h, state.work[0] - work)
-    state.stored[0] = give(model, parameters, state, scratch, h, substeps, outputs)
+    state.stored[0] = stored
     if not before - outputs[balance] <= allowed:
         scratch.detail[0], scratch.detail[1] = before - outputs[balance], allowed
         return ENERGY_GAIN
-    _settle(state, scratch)
-    return OK
+    status = _check_outputs(outputs, scratch)
+    if status == OK:
+        _settle(state, scratch)
+    return status
