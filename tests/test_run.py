@@ -354,7 +354,7 @@ def test_friction_is_its_share_of_the_normal_force() -> None:
     # friction goes with the pressure on all of the curved dent.
     share = np.abs(rough[pressed, 0] - smooth[pressed, 0]) / rough[pressed, 2]
     assert share.min() > 0.19
-    assert share.max() < 0.22
+    assert share.max() < 0.23
 
 
 def test_an_organ_that_keeps_its_volume_is_harder() -> None:
