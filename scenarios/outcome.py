@@ -100,6 +100,8 @@ class Verdict:
     def bounds(self) -> str:
         """The bounds in words."""
         low, high = self.expectation.at_least, self.expectation.at_most
+        if low == high:
+            return f"exactly {low:g}{self._measure}"
         if low is None:
             return f"at most {high:g}{self._measure}"
         return f"at least {low:g}{self._measure}" if high is None else f"{low:g} to {high:g}{self._measure}"

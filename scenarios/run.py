@@ -15,6 +15,7 @@ from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription, ScalarVariable
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -390,14 +391,9 @@ def print_summary(outcome: Outcome, console: Console) -> None:
     table.add_row("step time median / p99.9 / maximum", f"{' / '.join(micro)} µs")
     table.add_row("real-time factor", f"{summary.real_time_factor:.1f}")
     console.print(table)
-    if not outcome.verdicts:
-        return
-    table = Table(title="Expectations")
-    for heading in ("", "output", "bounds", "found", "reason"):
-        table.add_column(heading, no_wrap=heading == "output")
     for v in outcome.verdicts:
         mark = "[green]holds[/]" if v.holds else "[red]fails[/]"
-        what = f"{v.expectation.output}, {v.expectation.statistic}"
-        texts = (what, v.bounds, v.found, v.expectation.reason)
-        table.add_row(mark, *(text.replace("[", r"\[") for text in texts))
-    console.print(table)
+        what = f"{v.expectation.statistic} of {v.expectation.output} is {v.found}; wanted {v.bounds}"
+        console.print(f"{mark}  {escape(what)}", highlight=False, soft_wrap=True)
+        if v.expectation.reason:
+            console.print(f"       {v.expectation.reason}", style="dim", highlight=False, markup=False, soft_wrap=True)
