@@ -13,7 +13,7 @@ USABLE := $(shell grep -qF '$(CURDIR)/.venv' .venv/pyvenv.cfg 2>/dev/null \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint bench check importers cross warm-up lock clean new-environment
+.PHONY: help demo test lint bench check importers cross extremes warm-up lock clean new-environment
 
 help: ## list what make can do
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1 - /p' Makefile | awk -F ' - ' '{ printf "%-18s%s\n", $$1, $$2 }'
@@ -52,6 +52,10 @@ importers: warm-up ## run the FMU as foreign importers do: win64 under wine, aar
 
 cross: warm-up ## the same over the whole press scenario only
 	$(BIN)/python -m pytest -m "wine or qemu" -rs tests/test_cross.py
+
+# Each seed is a scene and calls to it; a failing one is named, and shown by tests/extremes.py --first SEED --show.
+extremes: warm-up ## try 20,000 random scenes at the extremes of every constant; FIRST= and COUNT= pick others
+	$(BIN)/python tests/extremes.py --workers $(WORKERS) --first $(or $(FIRST),0) --count $(or $(COUNT),20000)
 
 # Tests that run side by side would compile the same kernels side by side.
 warm-up: $(STAMP)

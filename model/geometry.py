@@ -763,6 +763,9 @@ NO_HULL = Hull(np.empty((0, 3)), [])
 def convex_hull(surface: Surface, part: int) -> Hull:
     """Convex hull of one part of a surface."""
     points = surface.vertices[np.unique(surface.triangles[surface.part == part])]
+    if len(points) < 4:  # of a single triangle
+        number = np.arange(len(points), dtype=np.int32)
+        return Hull(points, [np.delete(number, k) for k in number])
     # Joggled input (QJ): cocircular points make clean triangles, flat parts a hull of next to no thickness.
     hull = ConvexHull(points, qhull_options="QJ Pp")
     used = np.sort(hull.vertices)
