@@ -137,7 +137,7 @@ def _model(scene: Scene, sheets: list[Sheet], bodies: list[Body]) -> Model:
         triangle_a=triangles[:, 0],
         triangle_b=triangles[:, 1],
         triangle_c=triangles[:, 2],
-        triangle_point_start=_starts(point_counts) if len(point_weight) else np.empty(0),
+        triangle_point_start=_starts(point_counts) if len(point_weight) else _joined([]),
         instruments=np.array([len(scene.instrument)]),
         body_part_start=part_start,
         body_triangle_start=body_triangle_start,

@@ -28,9 +28,8 @@ class Instance:
 
     def __init__(self, assembly: Assembly) -> None:
         self._assembly = assembly
-        self._model, self._state, self._scratch = (
-            Bundle(bundle) for bundle in (assembly.model, assembly.state, assembly.scratch)
-        )
+        self._model, self._state = Bundle(assembly.model), Bundle(assembly.state)
+        self._scratch = Bundle(assembly.scratch)
         self.model: Model = assembly.model
         self.state: State = self._state.fields
         self.scratch: Scratch = self._scratch.fields
@@ -42,7 +41,7 @@ class Instance:
             if v.block == "parameters":
                 self._ranges[:, v.slot] = v.minimum, v.maximum
 
-    def _arguments(self) -> tuple[Bundle, Real, Bundle, Real]:
+    def _arguments(self) -> tuple[Bundle[Model], Real, Bundle[State], Real]:
         return self._model, self.parameters, self._state, self.inputs
 
     def copy_state(self) -> tuple[Index, Real]:

@@ -4,7 +4,7 @@ As a tuple of arrays a bundle would be some hundred arrays of seven numbers each
 compilation took minutes and every call counted references. Fields are read through the same spans that model.bin holds.
 """
 
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from llvmlite import ir
@@ -18,13 +18,16 @@ from tissue_contact.kernels.layout import Model, Scratch, State, blocks, pack, s
 POINTERS = (("index", types.uint32), ("real", types.float64), ("spans", types.uint64))
 
 
-class Bundle:
+Fields = TypeVar("Fields", Model, State, Scratch)
+
+
+class Bundle(Generic[Fields]):
     """The handle of a packed bundle that kernels take from Python. It keeps its arrays alive.
 
     ``fields`` is the `Model`, `State` or `Scratch` whose fields are views of the blocks ``index`` and ``real``.
     """
 
-    def __init__(self, fields: Model | State | Scratch) -> None:
+    def __init__(self, fields: Fields) -> None:
         self.fields, self.index, self.real = pack(fields)
         self.spans = spans(fields)
         self.index_address, self.real_address = self.index.ctypes.data, self.real.ctypes.data

@@ -15,6 +15,7 @@ from tissue_contact.kernels.slots import (
     AREAL_DENSITY,
     CONTACT_DAMPING,
     CONTACT_EXPONENT,
+    CONTACT_FRICTION,
     CONTACT_STIFFNESS,
     DAMPING_SCALE,
     DRAG,
@@ -79,17 +80,19 @@ def _of_tissue(model, parameters, state, n):
 def contact_slope(model, parameters, state, k, travel):
     """Stiffness and damping of a contact, per unit of its share or area, where it may be deepest.
 
-    ``travel`` [m] is how much deeper it may become until it is asked again.
+    ``travel`` [m] is how much deeper it may become until it is asked again. The damping is that of the depth's rate and
+    of sliding: friction at rest has the slope mu F/e.
     """
     own = contact_slots(model, k)
     stiffness, damping = parameters[own + CONTACT_STIFFNESS], parameters[own + CONTACT_DAMPING]
-    if model.contact_law[k] == KELVIN_VOIGT:
-        return stiffness, damping
-    n = parameters[own + CONTACT_EXPONENT]
-    depth = state.deepest[k] + travel
+    depth, n = state.deepest[k] + travel, 1.0
     if model.contact_response[k] == FIELD:
         depth = min(depth, model.contact_depth[k])
-    return n * stiffness * depth ** (n - 1.0), damping * stiffness * depth**n
+    if model.contact_law[k] != KELVIN_VOIGT:
+        n = parameters[own + CONTACT_EXPONENT]
+        damping *= stiffness * depth**n
+    sticking = parameters[own + CONTACT_FRICTION] * stiffness * depth**n / model.contact_slip_speed[k]
+    return n * stiffness * depth ** (n - 1.0), damping + sticking
 
 
 @inner
