@@ -329,6 +329,8 @@ def run(
     _partial(output, scenario.name).unlink(missing_ok=True)
     outcome = Outcome(scenario, trace, summarise(trace), judge(scenario.expect, trace), [table])
     print_summary(outcome, Console())
+    for remark in too_deep(outcome.summary, scenario.scene, assembly().model.contact_reach):
+        console.print(remark, highlight=False, markup=False)
     if figures:
         from tissue_contact.scenarios.report import draw  # matplotlib takes a second
 
@@ -371,6 +373,21 @@ def _bar(console: Console, wanted: bool) -> Progress:
         transient=True,
         disable=not (wanted and console.is_terminal),
     )
+
+
+def too_deep(summary: Summary, scene: Scene, thickness: FloatArray) -> Iterator[str]:
+    """A remark on every instrument that went deeper than a distance field can press.
+
+    ``thickness`` is half of the thinnest part of each contact [m]. Half of it is less than the two thirds at which a
+    ball presses most, and more than any contact that is stiff enough.
+    """
+    for contact, half in zip(scene.contact, thickness, strict=True):
+        name = contact.between[1]
+        if contact.is_field and summary.deepest.get(name, 0.0) > 0.5 * half:
+            yield (
+                f"{name} went {1e3 * summary.deepest[name]:.2f} mm deep, and its thinnest part is {2e3 * half:.2f} mm "
+                f"thick: the tissue may pass through it. Raise the stiffness of {contact.name}"
+            )
 
 
 def print_summary(outcome: Outcome, console: Console) -> None:

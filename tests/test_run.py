@@ -515,3 +515,12 @@ def test_history_of_a_grasper_that_touches_nothing_shows_how_much_it_holds() -> 
     nothing, some = [0, 0, 0, 0], [0, 1e-3, 1e-3, 0]
     assert not np.array_equal(drawn(all_of_it, nothing), drawn(less, nothing))
     assert np.array_equal(drawn(all_of_it, some), drawn(less, some))
+
+
+def test_an_instrument_deeper_than_its_field_can_press_is_remarked(tmp_path, capsys):
+    """A contact a hundred times too soft lets the tip through: the run says so, and what to do."""
+    from tissue_contact.scenarios.run import run
+
+    run(read_scenario("press"), tmp_path, {"contact.stiffnessPerArea": 5e5}, progress=False, figures=False)
+    told = " ".join(capsys.readouterr().err.split())
+    assert "instrument went" in told and "Raise the stiffness of contact" in told
