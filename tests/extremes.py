@@ -22,6 +22,7 @@ from itertools import pairwise
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest import mock
 
 import numpy as np
 
@@ -36,8 +37,7 @@ from tissue_contact.scene import Scene, parse_scene
 from tissue_contact.simulate import Instance
 from tissue_contact.status import STATUSES
 
-fields.NODES_MAX = 3000  # coarse fields of odd shapes: what is tested here does not depend on their accuracy
-
+NODES_MAX = 3000  # coarse fields of odd shapes: what is tested here does not depend on their accuracy
 LIMIT = 30.0  # [s] for one seed, far above what the budgets of its scene allow
 FMU_SHARE = 0.1  # of the seeds, whose calls are made to an FMU as well
 STARTING = 120.0  # [s] that a worker may take to load the kernels, or to compile them
@@ -639,7 +639,8 @@ def run(seed: int, with_fmu: bool | None = None) -> collections.Counter:
         case = case_of(seed, Path(folder))
         try:
             scene = parse_scene(case.text.encode(), Path(folder))
-            assembly = assemble(scene)
+            with mock.patch.object(fields, "NODES_MAX", NODES_MAX):
+                assembly = assemble(scene)
         except InputError:
             return collections.Counter(["invalid scene"])
     player = Player(seed, scene, assembly, case)
