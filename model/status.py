@@ -71,8 +71,8 @@ STATUSES = (
         NONFINITE_STATE,
         "nonfinite_state",
         False,
-        "the step would have left a non-finite state (first at tissue vertex %g, value %g): the state from before "
-        "the step stays. Lower the stiffness or damping, or lower solver.safety",
+        "the step would have left a non-finite state, or one beyond 1e6 m (first at tissue vertex %g, value %g): the "
+        "state from before the step stays. Lower the stiffness or damping, or lower solver.safety",
     ),
     Status(
         ENERGY_GAIN,

@@ -13,6 +13,7 @@ from scenes import assembled, index, write_mesh
 
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.kernels import slots
+from tissue_contact.kernels.predicates import side
 from tissue_contact.scene import parse_scene
 from tissue_contact.simulate import Instance
 
@@ -473,6 +474,38 @@ def test_a_long_shaft_that_is_found_late_is_no_gain():
     instance.inputs[2] = 0.0001
     instance.step(1e-3)
     assert force(instance)[2] > 0.0
+
+
+@pytest.mark.parametrize("far", [1e110, 1e200, math.inf, math.nan])
+def test_a_side_that_overflows_is_none(far):
+    """Exact arithmetic of what overflows found nothing and took a hundred times as long: 30 s for a refused step."""
+    expansion = np.zeros(256)
+    assert side((0.0, 0.0, 0.0), (far, 0.0, 0.0), (0.0, far, 0.0), (far, far, far), expansion) in (-1, 0, 1)
+    assert side((0.0, 0.0, far), (far, -far, 0.0), (0.0, far, 1.0), (far, far, -far), expansion) in (-1, 0, 1)
+    assert not expansion.any()
+
+
+@pytest.mark.parametrize("response", RESPONSES[1:])
+def test_a_touch_of_long_ago_is_none(response):
+    """Until the next detection a touch followed the instrument to a depth of a metre, and at rest it was another."""
+    solver = 'detection = "discrete"\ndetection_period = 1.0\nsubsteps = 4'
+    instance = instance_of(response, height=-0.001, solver=solver, tissue=FLAT)
+    assert force(instance)[2] > 0.0
+    for depth in (0.5, 0.5, 0.5):
+        instance.inputs[2] = -depth
+        instance.step(1e-4)
+        assert not force(instance).any()
+    sane(instance)
+
+
+def test_a_tissue_that_runs_off_is_refused_at_once():
+    """Its triangles met every cell of the instrument in every substep, for a minute, before the end of the step."""
+    instance = instance_of("hull", height=-0.001, tissue='fixed = "none"', springs="stiffness = 1.0")
+    instance.state.vz[::2] = 1e10
+    saved = instance.copy_state()
+    with pytest.raises(WorkError, match="non-finite state, or one beyond 1e6 m"):
+        instance.step(1e-3)
+    assert saved[1].tobytes() == instance.copy_state()[1].tobytes()
 
 
 # --- many at random ----------------------------------------------------------------------------------------

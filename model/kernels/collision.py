@@ -14,6 +14,31 @@ from tissue_contact.kernels.vectors import dot
 POLYTOPE, LITERAL, PRIMITIVE, FIELD, BODIES = 0, 1, 2, 3, 4
 
 
+@inner
+def _edges(model, body):
+    """Lengths of the box of a body in its frame [m]."""
+    k = 3 * body
+    return (
+        model.body_high[k] - model.body_low[k],
+        model.body_high[k + 1] - model.body_low[k + 1],
+        model.body_high[k + 2] - model.body_low[k + 2],
+    )
+
+
+@inner
+def body_size(model, body):
+    """Diagonal of the box of a body [m]: no two of its points are farther apart."""
+    edges = _edges(model, body)
+    return math.sqrt(dot(edges, edges))
+
+
+@inner
+def body_face(model, body):
+    """Area of the greatest face of the box of a body [m²]."""
+    a, b, c = _edges(model, body)
+    return max(a * b, b * c, c * a)
+
+
 @kernel
 def plane_segment(i1, i2, i3, s1, s2, s3):
     """Ends of the segment in which an instrument triangle cuts the tissue plane.

@@ -5,6 +5,8 @@ A floating-point filter decides nearly all cases; what lies within its error bou
 the caller lends. Exact as long as no product underflows: coordinates above 1e-100 in size, or zero.
 """
 
+import math
+
 from tissue_contact.kernels.compiled import inner, kernel
 
 # Error bound of a 3x3 determinant of differences, relative to its permanent: (7 + 56 eps) eps, eps = 2^-53.
@@ -90,7 +92,7 @@ def side(a, b, c, d, expansion):
     """Side of the plane through a, b, c on which d lies.
 
     sign of ((b - a) x (c - a)) . (d - a): 1 on the side from which a, b, c run counter-clockwise, -1 on the other,
-    0 in the plane. The points are tuples of three; ``expansion`` lends room, shape [256].
+    0 in the plane, or where a product overflows. The points are tuples of three; ``expansion`` lends room, shape [256].
     """
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -105,5 +107,7 @@ def side(a, b, c, d, expansion):
     if -determinant > FILTER * permanent:
         return -1
     if permanent == 0.0:  # a zero difference of float64 is an exact zero
+        return 0
+    if not permanent < math.inf:  # what overflows or is not-a-number has no side, and no exact arithmetic
         return 0
     return _side_exact(a, b, c, d, expansion)

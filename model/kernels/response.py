@@ -7,7 +7,7 @@ work per substep is small.
 
 import math
 
-from tissue_contact.kernels.collision import LITERAL, PRIMITIVE, penetration, support
+from tissue_contact.kernels.collision import LITERAL, PRIMITIVE, body_size, penetration, support
 from tissue_contact.kernels.compiled import inner
 from tissue_contact.kernels.contact import (
     contact_law,
@@ -97,6 +97,7 @@ def respond(model, parameters, state, scratch, contact, r, p, velocity, spin, ta
     fx, fy, fz = scratch.fx, scratch.fy, scratch.fz
     x, y, z, vx, vy, vz = state.x, state.y, state.z, state.vx, state.vy, state.vz
     total, work, dissipated, deepest = 0.0, 0.0, 0.0, 0.0
+    longest = body_size(model, body)  # no touch is deeper: one that seems so is of long ago and touches no more
     for m in range(first, first + state.touches[contact]):
         t, w = state.touch_triangle[m], state.touch_share[m]
         a, b, c = model.triangle_a[t], model.triangle_b[t], model.triangle_c[t]
@@ -114,7 +115,7 @@ def respond(model, parameters, state, scratch, contact, r, p, velocity, spin, ta
             own[2] - (wa * vz[a] + wb * vz[b] + wc * vz[c]),
         )
         depth, direction = _depth(model, state, contact, m, r, arm, inward, against)
-        if not depth > 0.0:
+        if not 0.0 < depth <= longest:
             continue
         if split:
             elastic, stored, viscous = press_elastic(law, depth)

@@ -5,7 +5,7 @@ The entries `initialize` and `step` are what Python, the FMU and every study cal
 
 import math
 
-from tissue_contact.kernels.collision import FIELD, PRIMITIVE
+from tissue_contact.kernels.collision import FIELD, LITERAL, PRIMITIVE, body_face, body_size
 from tissue_contact.kernels.compiled import inner, kernel
 from tissue_contact.kernels.contact import contact_slots
 from tissue_contact.kernels.damping import count_damping, damp_contacts
@@ -55,6 +55,7 @@ from tissue_contact.status import (
 
 QUATERNION_NORM_MIN = 1e-6
 INPUT_MAX = 1e6  # [m, 1] size of an input: beyond any scene, and no square or product of a few overflows
+PLACE_MAX = 1e6  # [m] sum of the coordinates of a vertex
 STEP_MIN, STEP_MAX = 1e-100, 1e6  # [s] between them no speed overflows and no time is lost
 ROUNDING = 1e-12  # of the energies that a balance is the difference of, and [J], that rounding may gain
 
@@ -85,6 +86,18 @@ def _check(model, parameters, inputs, scratch):
             scratch.pose[POSE * i + k] = inputs[POSE * i + k]
         for k in range(4):
             scratch.pose[q + k] = inputs[q + k] / norm
+    return OK
+
+
+@inner
+def _check_state(state, scratch):
+    """Refuse a tissue that runs off, also before it is looked at: its triangles would meet every cell of a body."""
+    for v in range(state.x.size):
+        size = abs(state.x[v]) + abs(state.y[v]) + abs(state.z[v])
+        total = size + state.vx[v] + state.vy[v] + state.vz[v]
+        if not (size <= PLACE_MAX and math.isfinite(total)):
+            scratch.detail[0], scratch.detail[1] = v, total
+            return NONFINITE_STATE
     return OK
 
 
@@ -205,19 +218,18 @@ def _found(model, parameters, state, scratch, k, h):
 
     At the depth of the thinnest part and of the motion until then, or at the present one if that is more, but no deeper
     than the body itself allows: a tissue that flies off is no find. A field presses on both sides of a fold as large
-    as the greatest face of the body's box. A touch by intersecting triangles is at once as deep as they reach.
+    as the greatest face of the body's box. The depth of the thesis turns with the motion, and intersecting triangles
+    are at once as deep as they reach: both may find all of the body.
     """
-    body, own = model.contact_body[k], contact_slots(model, k)
-    a = model.body_high[3 * body] - model.body_low[3 * body]
-    b = model.body_high[3 * body + 1] - model.body_low[3 * body + 1]
-    c = model.body_high[3 * body + 2] - model.body_low[3 * body + 2]
+    body, own, response = model.contact_body[k], contact_slots(model, k), model.contact_response[k]
     way = travel(model, scratch, k, max(h, model.detection_period[0]))
-    depth = max(model.contact_reach[k] + way, state.deepest[k])
-    if model.contact_response[k] >= FIELD:
-        depth, size = min(depth, model.contact_depth[k]), 2.0 * max(a * b, b * c, c * a)
+    depth, longest = max(model.contact_reach[k] + way, state.deepest[k]), body_size(model, body)
+    if response >= FIELD:
+        depth = min(depth, model.contact_depth[k])
+        size = 2.0 * body_face(model, body)
     else:
-        longest, size = math.sqrt(a * a + b * b + c * c), 0.0
-        depth = longest if model.contact_response[k] == PRIMITIVE else min(depth, longest)
+        depth = longest if response in (LITERAL, PRIMITIVE) else min(depth, longest)
+        size = 0.0
         first = model.contact_touch_start[k]
         for m in range(first, first + state.touches[k]):
             size += state.touch_share[m]
@@ -325,15 +337,16 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
             due = min(due, 1.0 / rate - dt if rate > 0.0 else math.inf)
         # Half a substep of slack: the sum of the substeps only rounds to the period.
         if state.since_detection[0] >= due - 0.5 * dt:
-            status = detect_all(model, state, scratch, (n + 1) * dt)
+            status = _check_state(state, scratch)
+            if status == OK:
+                status = detect_all(model, state, scratch, (n + 1) * dt)
             if status != OK:
                 return status
     for v in range(state.x.size):
         state.dissipated[0] += scratch.loss[v]
-        total = state.x[v] + state.y[v] + state.z[v] + state.vx[v] + state.vy[v] + state.vz[v]
-        if not math.isfinite(total):
-            scratch.detail[0], scratch.detail[1] = v, total
-            return NONFINITE_STATE
+    status = _check_state(state, scratch)
+    if status != OK:
+        return status
     stored = give(model, parameters, state, scratch, h, substeps, outputs)
     allowed = _allowed_gain(model, parameters, state, scratch, h, state.work[0] - work)
     state.stored[0] = stored
