@@ -199,6 +199,37 @@ def test_a_jump_of_1_m_in_one_step(response, way):
     sane(instance)
 
 
+@pytest.mark.parametrize(
+    "damping",
+    [
+        0.01,
+        1.0,
+        100.0,
+        pytest.param(1e4, marks=pytest.mark.xfail(strict=True, reason="lumped dampers overshoot")),
+    ],
+)
+def test_dampers_of_a_touch_never_give_energy(damping, tmp_path):
+    """Lumped to the corners by areal coordinates, a stiff damper (dt c/m >> 1) throws the heavier weighted corner back.
+
+    For one point of weights a over equal masses the velocities become u_i - a_i sum(u): of (1, 0) and a = (0.2, 0.8)
+    that is (0.8, -0.8), 28 % more energy than before.
+    """
+    write_mesh(tmp_path / "one.obj", TRIANGLE, np.array([[0, 1, 2]]))
+    sheet = 'mesh = "one.obj"\nopen_surface = true'
+    instance = instance_of(
+        "oobb", shape=sheet, folder=tmp_path, tissue='support_stiffness = 1e5\nfixed = "none"', height=-0.001,
+        damping=damping, solver="energy_gain = 1e6\nsubsteps = 1",
+    )  # fmt: skip
+    rng = np.random.default_rng(1)
+    for k in range(100):
+        if k % 10 == 0:
+            instance.state.vz[:] = 0.01 * rng.normal(size=3)
+            instance.parameters[slots.STIFFNESS_SCALE] = 1.0 + 1e-9 * (k + 1)  # what is stored is counted anew
+        before = instance.state.dissipated[0]
+        instance.step(1e-4)
+        assert instance.state.dissipated[0] >= before - 1e-12
+
+
 # --- places ------------------------------------------------------------------------------------------------
 
 
