@@ -1,6 +1,5 @@
 """Accuracy: the error measure, the motions, refinement of one organ, and that the page tells what was measured."""
 
-import importlib.util
 import json
 from pathlib import Path
 
@@ -15,14 +14,6 @@ from tissue_contact.scenarios.accuracy import CASES
 
 ROOT = Path(__file__).parents[1]
 MESHES = ROOT.parent / "shared" / "meshes"
-
-
-def page_module():
-    """docs/accuracy.py."""
-    spec = importlib.util.spec_from_file_location("docs_accuracy", ROOT / "docs" / "accuracy.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 # --- refinement -------------------------------------------------------------------------------------------
