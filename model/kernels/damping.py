@@ -7,8 +7,9 @@ velocities u* that all other forces will give, with the dampers lumped to the ve
     u'_i = u*_i / (1 + dt D_i/m_i)        D_i = sum over the points of alpha_i c
 
 and a point takes c times the mean of its corners' u'. What moves evenly under a contact feels the law itself; D_i is
-the row sum of a matrix without negative entries, so that whatever the constants are, no velocity grows. Nothing depends
-on the order of the points.
+the row sum of a matrix without negative entries, so that whatever the constants are, the eigenvalues lie between 0 and
+1 and no motion grows without end. (For a substep it may: a very stiff damper, dt c/m far above 1, throws the heavier
+weighted of unlike corners back.) Nothing depends on the order of the points.
 """
 
 import math
