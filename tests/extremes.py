@@ -713,7 +713,7 @@ def run_many(
                     found, failure = worker.pipe.recv()
                     outcomes += found
                     scenes.update(found.keys())
-                except EOFError:
+                except (EOFError, OSError):
                     worker.process.join()
                     failure = f"the process died with exit code {worker.process.exitcode}"
             elif time.monotonic() > worker.deadline:
