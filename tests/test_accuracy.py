@@ -1,5 +1,6 @@
 """Accuracy: the error measure, the motions, refinement of one organ, and that the page tells what was measured."""
 
+import importlib.util
 import json
 from pathlib import Path
 
@@ -14,6 +15,14 @@ from tissue_contact.scenarios.accuracy import CASES
 
 ROOT = Path(__file__).parents[1]
 MESHES = ROOT.parent / "shared" / "meshes"
+
+
+def page_module():
+    """docs/accuracy.py."""
+    spec = importlib.util.spec_from_file_location("docs_accuracy", ROOT / "docs" / "accuracy.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 # --- refinement -------------------------------------------------------------------------------------------
@@ -36,6 +45,15 @@ def test_force_on_a_gallbladder_changes_little_with_its_mesh(tmp_path):
     assert changes(accuracy.refinement(organ, at, meshes=("500", "14700"))).max() < 0.03
 
 
+def test_force_on_an_ellipsoid_changes_little_with_its_mesh():
+    organ = accuracy.ellipsoid()
+    force = accuracy.refinement(organ, accuracy.places(organ.finest, 2))
+    # Measured: 3.6 % and 5.3 %, always the coarse mesh the stiffer, as edges of 5 mm cannot follow a tip of 10 mm; the
+    # wall without tension gives 8 and 10 %. Not the 3 % of the gallbladder, where two errors cancel.
+    assert changes(force).max() < 0.06
+    assert all(coarse > fine for coarse, fine in zip(*force.values(), strict=True))
+
+
 def test_cut_surface_is_the_same_surface():
     coarse = shapes.ellipsoid((0.03, 0.016, 0.016), 200)
     fine = accuracy.cut(coarse)
@@ -54,6 +72,15 @@ def test_places_are_on_the_surface_and_their_normals_point_outward():
         assert np.linalg.norm(place.normal) == pytest.approx(1.0)
         assert place.normal @ place.point > 0.0
         assert abs(place.normal[0]) < 0.5  # the broad side, not the tips
+
+
+@pytest.mark.parametrize("lift", [-0.002, 0.0, 0.003])
+def test_height_of_the_first_touch(lift):
+    # A ball above the middle of a box's face touches it with its lowest point.
+    surface = shapes.box((0.04, 0.04, 0.02), 3000)
+    place = accuracy.Place(np.array([0.001, 0.002, 0.02 - lift]), np.array([0.0, 0.0, 1.0]))
+    # The points that are looked at lie 0.5 mm apart, so one lies within 0.3 mm of it: 0.3²/(2 r) = 5 µm.
+    assert accuracy.touch(surface, place, 0.01) == pytest.approx(lift, abs=5e-6)
 
 
 # --- errors and motions -----------------------------------------------------------------------------------
@@ -126,3 +153,32 @@ def test_refused_run_keeps_its_rows(tmp_path, monkeypatch):
 
 
 # --- the page ---------------------------------------------------------------------------------------------
+
+
+def test_page_tells_what_was_measured():
+    module = page_module()
+    page = module.PAGE.read_text("utf-8")
+    data = json.loads(module.DATA.read_text("utf-8"))
+    assert module.filled(page, data) == page, "run python docs/accuracy.py"
+
+
+def test_page_lacks_no_run():
+    data = json.loads(page_module().DATA.read_text("utf-8"))
+    assert [name for name in accuracy.runs() if name not in data["runs"]] == []
+    assert {name.split(", ", 1)[1] for name in data["meshes"]} == set(accuracy.STUDIES)
+
+
+def test_claims_of_the_page_hold_in_its_data():
+    data = json.loads(page_module().DATA.read_text("utf-8"))
+    runs = data["runs"]
+    round_tip = ("press", "slide", "tilt")
+    assert max(runs[f"{case}, distance_field"]["error"] for case in round_tip) < 0.033
+    assert max(runs[f"{case}, hull"]["error"] for case in ("press", "tilt")) < 0.03
+    assert min(runs[f"{case}, oobb"]["error"] for case in (*round_tip, "poke")) > 1.0
+    assert runs["late, hull, 1 kHz, 0"]["error"] < 0.05
+    assert max(runs[f"late, distance_field, 30 Hz, {k}"]["error"] for k in accuracy.DELAYS) > 1.0
+    # The reference is much nearer to its limit than what is compared with it.
+    assert max(runs[f"{case}, reference, 24000"]["error"] for case in accuracy.CASES) < 0.02
+    forces = {mesh: np.array(f) for mesh, f in data["meshes"]["gallbladder, taut wall"]["forces"].items()}
+    assert np.abs(forces["500"] / forces["14700"] - 1.0).max() < 0.03
+    assert np.abs(forces["500"] / forces["500 cut"] - 1.0).min() > 0.1  # two errors cancel, as the page says
