@@ -374,7 +374,8 @@ class Watch:
 
     def _speeds(self, instance: Instance) -> np.ndarray:
         motion = instance.scratch.motion.reshape(-1, 6)
-        turning = np.linalg.norm(motion[:, 3:], axis=1) * np.array(self.model.body_radius)
+        # A touched point is no farther from the body than the body is long.
+        turning = np.linalg.norm(motion[:, 3:], axis=1) * (np.array(self.model.body_radius) + self.size)
         return np.linalg.norm(motion[:, :3], axis=1) + turning
 
     def _force(

@@ -517,13 +517,14 @@ def test_a_side_that_overflows_is_none(far):
 
 
 @pytest.mark.parametrize("response", RESPONSES[1:])
-def test_a_touch_of_long_ago_is_none(response):
+@pytest.mark.parametrize("way", [(0, 0, -0.5), (0.5, 0, 0)], ids=["deep", "aside"])
+def test_a_touch_of_long_ago_is_none(response, way):
     """Until the next detection a touch followed the instrument to a depth of a metre, and at rest it was another."""
     solver = 'detection = "discrete"\ndetection_period = 1.0\nsubsteps = 4'
     instance = instance_of(response, height=-0.001, solver=solver, tissue=FLAT)
     assert force(instance)[2] > 0.0
-    for depth in (0.5, 0.5, 0.5):
-        instance.inputs[2] = -depth
+    instance.inputs[:3] += way
+    for _ in range(3):
         instance.step(1e-4)
         assert not force(instance).any()
     sane(instance)

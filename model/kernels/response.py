@@ -97,7 +97,9 @@ def respond(model, parameters, state, scratch, contact, r, p, velocity, spin, ta
     fx, fy, fz = scratch.fx, scratch.fy, scratch.fz
     x, y, z, vx, vy, vz = state.x, state.y, state.z, state.vx, state.vy, state.vz
     total, work, dissipated, deepest = 0.0, 0.0, 0.0, 0.0
-    longest = body_size(model, body)  # no touch is deeper: one that seems so is of long ago and touches no more
+    # No touch is deeper than the body is long, nor so far from it: such a one is of long ago and touches no more.
+    longest = body_size(model, body)
+    far = model.body_radius[body] + longest
     for m in range(first, first + state.touches[contact]):
         t, w = state.touch_triangle[m], state.touch_share[m]
         a, b, c = model.triangle_a[t], model.triangle_b[t], model.triangle_c[t]
@@ -108,6 +110,8 @@ def respond(model, parameters, state, scratch, contact, r, p, velocity, spin, ta
             wa * y[a] + wb * y[b] + wc * y[c] - p[1],
             wa * z[a] + wb * z[b] + wc * z[c] - p[2],
         )
+        if dot(arm, arm) > far * far:
+            continue
         own = moving_point(velocity, spin, arm)
         against = (
             own[0] - (wa * vx[a] + wb * vx[b] + wc * vx[c]),
