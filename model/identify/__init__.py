@@ -1,0 +1,1 @@
+"""Identification of constants from measured force."""
