@@ -320,9 +320,9 @@ class Contact(Settings):
         "N/m3", 1e2, 1e12, "stiffness of a distance_field contact, force per depth and area", None
     )
     damping_per_area: float = quantity("N.s/m3", 0, 1e9, "damping of a distance_field contact, per area", 0.0)
-    stiffness: float | None = quantity("N/m", 1, 1e7, "stiffness of the whole contact, for every other response", None)
+    stiffness: float | None = quantity("N/m", 1, 1e10, "stiffness of the whole contact, for every other response", None)
     damping: float = quantity("N.s/m", 0, 1e4, "damping of the whole contact", 0.0)
-    exponent: float = quantity("1", 1, 3, "n of hunt_crossley, F = k d (d / 1 m)^(n - 1) (1 + lambda d')", 1.5)
+    exponent: float = quantity("1", 1, 5, "n of hunt_crossley, F = k d (d / 1 m)^(n - 1) (1 + lambda d')", 1.5)
     dissipation: float = quantity("s/m", 0, 1e3, "lambda of hunt_crossley", 0.0)
     friction: float = quantity("1", 0, 10, "coefficient of Coulomb friction, 0 for none", 0.0)
     slip_speed: float = quantity("m/s", 1e-6, 1, "speed above which friction is nearly full", 1e-3)

@@ -1,0 +1,116 @@
+"""Bounded nonlinear least squares with exact derivatives: one solver for laws and for whole models."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from tissue_contact.identify.recording import Real
+
+LOSSES = ("linear", "huber", "soft_l1", "cauchy")
+TOLERANCE = 1e-12  # relative, of cost and step: well below any noise, so that clean data give the constants back
+
+Model = Callable[[Real], tuple[Real, Real]]  # values, shape [m], and Jacobian, shape [m, p], of the constants
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What a least squares fit came to."""
+
+    values: Real  # shape [p]
+    residual: Real  # model less measured, shape [m]
+    jacobian: Real  # of the residual by the values, shape [m, p]
+    weight: Real  # of each residual by the loss, 1 for plain least squares, shape [m]
+    cost: float  # half of the sum of squares, or of the loss
+    evaluations: int  # of model and Jacobian
+    converged: bool
+    message: str
+
+
+def fit(
+    model: Model,
+    measured: Real,
+    starts: Sequence[Real],
+    lower: Real,
+    upper: Real,
+    loss: str = "linear",
+    noise: float | None = None,
+) -> Fit:
+    """Best of the fits from several starts: Gauss–Newton within a trust region and bounds (Branch and others 1999).
+
+    Parameters
+    ----------
+    model
+        Values and Jacobian as functions of the constants.
+    measured : shape [m]
+    starts : each of shape [p], within the bounds
+    lower, upper : shape [p]
+    loss
+        One of `LOSSES`; all but "linear" weigh down what is far off.
+    noise
+        Residual above which it does [unit of measured]; without it 1.5 times the robust spread of a linear fit.
+    """
+    if loss != "linear" and noise is None:
+        plain = fit(model, measured, starts, lower, upper)
+        spread = 1.4826 * float(np.median(np.abs(plain.residual - np.median(plain.residual))))
+        noise = 1.5 * spread or 1.0
+    best: Fit | None = None
+    # What cannot be 0 is sought as a logarithm: a stiffness and the exponent over it then hardly bend the model.
+    log = lower > 0.0
+    scale = np.where(log, 1.0, np.fmax(np.abs(starts[0]), 1e-12 * upper))
+    evaluations = 0
+
+    def natural(u: Real) -> Real:
+        return np.clip(np.where(log, np.exp(np.where(log, u, 0.0)), u * scale), lower, upper)
+
+    def sought(values: Real) -> Real:
+        return np.where(log, np.log(np.where(log, values, 1.0)), values / scale)
+
+    low, high = sought(lower), sought(upper)
+    margin = 1e-9 * (high - low)  # the solver wants to begin inside
+    for start in starts:
+        kept: dict[bytes, tuple[Real, Real]] = {}
+
+        def at(scaled: Real, kept: dict[bytes, tuple[Real, Real]] = kept) -> tuple[Real, Real]:
+            key = scaled.tobytes()
+            if key not in kept:
+                kept.clear()
+                values = natural(scaled)
+                force, slope = model(values)
+                kept[key] = force, slope * np.where(log, values, scale)
+            return kept[key]
+
+        found = least_squares(
+            lambda u, at=at: at(u)[0] - measured,
+            np.clip(sought(start), low + margin, high - margin),
+            jac=lambda u, at=at: at(u)[1],
+            bounds=(low, high),
+            x_scale="jac",
+            loss=loss,
+            f_scale=noise or 1.0,
+            ftol=TOLERANCE,
+            xtol=TOLERANCE,
+            gtol=TOLERANCE,
+            max_nfev=500,
+        )
+        evaluations += found.nfev
+        if best is None or found.cost < best.cost:
+            values = natural(found.x)
+            force, jacobian = model(values)
+            residual = force - measured
+            weight = _weight(residual / (noise or 1.0), loss)
+            best = Fit(values, residual, jacobian, weight, float(found.cost), 0, bool(found.status > 0), found.message)
+    assert best is not None
+    return Fit(**{**best.__dict__, "evaluations": evaluations})
+
+
+def _weight(z: Real, loss: str) -> Real:
+    """Weight of residuals in units of the noise: the derivative of the loss by z²."""
+    if loss == "huber":
+        return 1.0 / np.fmax(1.0, np.abs(z))
+    if loss == "soft_l1":
+        return 1.0 / np.sqrt(1.0 + z * z)
+    if loss == "cauchy":
+        return 1.0 / (1.0 + z * z)
+    return np.ones_like(z)

@@ -1,0 +1,85 @@
+"""Work spread over the cores of this machine, or over those of a dask cluster, in the order of the tasks."""
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from multiprocessing import get_context
+from typing import Any, TypeVar
+
+from tissue_contact.errors import InputError
+
+Task = TypeVar("Task")
+Done = TypeVar("Done")
+Spread = Callable[[Callable[[Any], Any], Sequence[Any], Callable[[int, Any], None]], list[Any]]
+
+CONNECT_TIMEOUT = 10  # [s]
+
+
+def in_line(work: Callable[[Task], Done], tasks: Sequence[Task], on_done: Callable[[int, Done], None]) -> list[Done]:
+    """All tasks one after the other, in this process; `on_done` gets number and result of each."""
+    results = []
+    for n, task in enumerate(tasks):
+        results.append(work(task))
+        on_done(n, results[-1])
+    return results
+
+
+@contextmanager
+def pool(workers: int, scheduler: str | None = None) -> Iterator[Spread]:
+    """A function like `in_line` that spreads the tasks over processes.
+
+    Parameters
+    ----------
+    workers
+        Processes on this machine; with 1 the work is done in this one.
+    scheduler
+        Address of a dask scheduler, whose workers are used instead.
+
+    Raises
+    ------
+    InputError
+        No scheduler answers there.
+    """
+    if scheduler is not None:
+        with _cluster(scheduler) as spread:
+            yield spread
+    elif workers == 1:
+        yield in_line
+    else:
+        # A forked process would inherit the locks of libraries that this one has started.
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as executor:
+
+            def spread(work: Any, tasks: Sequence[Any], on_done: Callable[[int, Any], None]) -> list[Any]:
+                futures = {executor.submit(work, task): n for n, task in enumerate(tasks)}
+                try:
+                    for future in as_completed(futures):
+                        on_done(futures[future], future.result())
+                except BaseException:
+                    executor.shutdown(cancel_futures=True)
+                    raise
+                return [future.result() for future in futures]
+
+            yield spread
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[Spread]:
+    from distributed import Client
+    from distributed import as_completed as as_finished
+
+    try:
+        client = Client(address, timeout=CONNECT_TIMEOUT)
+    except (OSError, ValueError) as error:
+        way_out = "Start one with `dask scheduler` and `dask worker ADDRESS`, or leave --scheduler out"
+        raise InputError("--scheduler", "a dask scheduler must answer there", address, way_out) from error
+    with client:
+
+        def spread(work: Any, tasks: Sequence[Any], on_done: Callable[[int, Any], None]) -> list[Any]:
+            # Two tasks that look the same are two tasks.
+            futures = [client.submit(work, task, pure=False) for task in tasks]
+            place = {future.key: n for n, future in enumerate(futures)}
+            for future in as_finished(futures):
+                on_done(place[future.key], future.result())
+            return [future.result() for future in futures]
+
+        yield spread
