@@ -20,6 +20,9 @@ VISCOUS_SHARE = 0.1  # of the force at a start
 SMALLEST = 4  # samples: fewer are not worth a fit of their own
 
 
+Place = tuple[str, str, str]  # law, scope and label of a fit
+
+
 @dataclass(frozen=True, eq=False)
 class Probe:
     """Geometry and force of one recording."""
@@ -60,6 +63,7 @@ class _Done:
     fit: Fit
     wanted: tuple[int, ...]  # the constants that were fitted
     missed: Real  # residual on the unseen
+    constants: Real  # all of the law
 
 
 def _fit(task: _Task) -> _Done:
@@ -77,10 +81,11 @@ def _fit(task: _Task) -> _Done:
 
     starts = [np.clip(s[list(wanted)], limits[:, 0], limits[:, 1]) for s in _starts(task, constants, whole)]
     found = fit(model, task.force, starts, limits[:, 0], limits[:, 1], options.loss)
-    missed = np.empty(0)
+    missed, constants_found = np.empty(0), whole.copy()
+    constants_found[list(wanted)] = found.values
     if task.unseen is not None:
         missed = model(found.values, Force(task.law, task.unseen[0]))[0] - task.unseen[1]
-    return _Done(found, wanted, missed)
+    return _Done(found, wanted, missed, constants_found)
 
 
 def _range(constant: Constant) -> tuple[float, float]:
@@ -147,8 +152,8 @@ def fit_laws(
     has_rate: bool,
     why_no_rate: str,
     spread: Spread = in_line,
-    on_done: Callable[[int], None] = lambda done: None,
-) -> tuple[list[Fitted], list[HeldOut]]:
+    on_done: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[list[Fitted], list[HeldOut], dict[Place, Real]]:
     """Fit every law to all probes together, to every region and to every probe, and to all but some.
 
     Parameters
@@ -162,7 +167,12 @@ def fit_laws(
     spread
         From `pool`.
     on_done
-        Told how many of the fits are done.
+        Told how many of all fits are done.
+
+    Returns
+    -------
+    fits, held_out, constants
+        The constants of every fit, those that were not fitted at 0 or as given.
     """
     check_options(options)
     groups: list[tuple[str, str, list[Probe]]] = [("pooled", "all probes", list(probes))]
@@ -184,7 +194,7 @@ def fit_laws(
     def done(n: int, result: _Done) -> None:
         nonlocal count
         count += 1
-        on_done(count)
+        on_done(count, len(tasks))
 
     results = spread(_fit, tasks, done)
     fitted = [
@@ -207,7 +217,7 @@ def fit_laws(
                 r2=_finite(determination(missed, force)),
             )
         )
-    return fitted, held_out
+    return fitted, held_out, {p: r.constants for p, r in zip(places, results, strict=True) if p[1] != "fold"}
 
 
 def _folds(probes: Sequence[Probe], options: Options) -> list[tuple[tuple[Touches, Real], tuple[Touches, Real]]]:
@@ -230,7 +240,7 @@ def _folds(probes: Sequence[Probe], options: Options) -> list[tuple[tuple[Touche
     ]
 
 
-def _fitted(place: tuple[str, str, str], task: _Task, done: _Done, why_no_rate: str) -> Fitted:
+def _fitted(place: Place, task: _Task, done: _Done, why_no_rate: str) -> Fitted:
     law, scope, label = place
     constants = constants_of(law, task.options.per_area)
     names = [c.name for c in constants]
