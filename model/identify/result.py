@@ -38,7 +38,7 @@ class Fitted(_Part):
     label: str
     law: str  # or "scene" for a fit of a whole model
     estimates: tuple[Estimate, ...]
-    correlation: tuple[tuple[float, ...], ...]  # of the constants with a number, in their order
+    correlation: tuple[tuple[float, ...], ...]  # of the fitted constants with a number, in their order
     samples: int
     rmse: float  # [N]
     r2: float | None

@@ -20,7 +20,7 @@ from tissue_contact.identify.statistics import (
 def estimates_of(
     fit: Fit, names: Sequence[str], units: Sequence[str], lower: Real, upper: Real
 ) -> tuple[list[Estimate], tuple[tuple[float, ...], ...]]:
-    """Estimates with verdicts, and the correlations of the constants."""
+    """Estimates with verdicts, and the correlations of those that have a number."""
     found = uncertainty(fit, lower > 0.0)
     estimates = []
     for k, (name, unit) in enumerate(zip(names, units, strict=True)):
@@ -38,7 +38,8 @@ def estimates_of(
                 reason=reason,
             )
         )
-    return estimates, tuple(tuple(float(c) for c in row) for row in found.correlation)
+    told = [k for k, e in enumerate(estimates) if e.value is not None]
+    return estimates, tuple(tuple(float(c) for c in row) for row in found.correlation[np.ix_(told, told)])
 
 
 def numbers(
