@@ -1,6 +1,7 @@
 """The force laws as casadi sees them: the very functions that the kernels run, with exact derivatives."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -11,7 +12,7 @@ from tissue_contact.scene import Contact
 from tissue_contact.settings import setting
 
 # What each law takes after depth and rate, in the scene's words for a whole contact.
-LAWS = {
+LAWS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "kelvin_voigt": (kelvin_voigt, ("stiffness", "damping")),
     "hunt_crossley": (hunt_crossley, ("stiffness", "dissipation", "exponent")),
 }
