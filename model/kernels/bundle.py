@@ -15,9 +15,6 @@ from numba.extending import NativeValue, intrinsic, models, register_model, type
 
 from tissue_contact.kernels.layout import Model, Scratch, State, blocks, pack, spans
 
-POINTERS = (("index", types.uint32), ("real", types.float64), ("spans", types.uint64))
-
-
 Fields = TypeVar("Fields", Model, State, Scratch)
 
 
@@ -35,11 +32,12 @@ class Bundle(Generic[Fields]):
 
 
 class BundleType(types.Type):
-    """Type of a bundle within kernels; ``kind`` is `Model`, `State` or `Scratch`."""
+    """Type of a bundle within kernels: ``kind`` is `Model`, `State` or `Scratch`, ``real`` what a `Real` holds."""
 
-    def __init__(self, kind: type) -> None:
-        self.kind = kind
-        super().__init__(name=f"Bundle({kind.__name__})")
+    def __init__(self, kind: type, real: types.Type = types.float64) -> None:
+        self.kind, self.real = kind, real
+        self.pointers = (("index", types.uint32), ("real", real), ("spans", types.uint64))
+        super().__init__(name=f"Bundle({kind.__name__}, {real})")
 
 
 @typeof_impl.register(Bundle)
@@ -50,7 +48,7 @@ def _typeof(bundle: Bundle, context: Any) -> BundleType:
 @register_model(BundleType)
 class _BundleModel(models.StructModel):
     def __init__(self, manager: Any, kind: BundleType) -> None:
-        super().__init__(manager, kind, [(name, types.CPointer(item)) for name, item in POINTERS])
+        super().__init__(manager, kind, [(name, types.CPointer(item)) for name, item in kind.pointers])
 
 
 @infer_getattr
@@ -62,7 +60,7 @@ class _BundleAttribute(AttributeTemplate):
 
 
 def _array(bundle: BundleType, name: str) -> types.Array:
-    item = types.uint32 if blocks(bundle.kind)[name] is np.uint32 else types.float64
+    item = types.uint32 if blocks(bundle.kind)[name] is np.uint32 else bundle.real
     return types.Array(item, 1, "C")
 
 
@@ -81,7 +79,7 @@ def _field(context: Any, builder: Any, bundle: BundleType, value: Any, name: str
 
     begin, end = span(at), span(at + 1)
     base = own.index if array.dtype == types.uint32 else own.real
-    bytes_of_item = context.get_constant(types.intp, 4 if array.dtype == types.uint32 else 8)
+    bytes_of_item = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(array.dtype)))
     made = context.make_array(array)(context, builder)
     context.populate_array(
         made,
@@ -97,7 +95,7 @@ def _field(context: Any, builder: Any, bundle: BundleType, value: Any, name: str
 @unbox(BundleType)
 def _unbox(bundle: BundleType, handle: Any, c: Any) -> NativeValue:
     made = cgutils.create_struct_proxy(bundle)(c.context, c.builder)
-    for name, item in POINTERS:
+    for name, item in bundle.pointers:
         address = c.pyapi.object_getattr_string(handle, f"{name}_address")
         pointer = c.context.get_value_type(types.CPointer(item))
         setattr(made, name, c.builder.bitcast(c.pyapi.long_as_voidptr(address), pointer))
@@ -117,7 +115,7 @@ def _joined(kind: type) -> Any:
             made.index, made.real, made.spans = arguments
             return made._getvalue()
 
-        return bundle(*[types.CPointer(item) for _, item in POINTERS]), make
+        return bundle(*[types.CPointer(item) for _, item in bundle.pointers]), make
 
     return join
 
