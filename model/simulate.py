@@ -1,6 +1,6 @@
 """Run an assembled scene in Python: the same step as in the FMU, compiled just in time."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -26,20 +26,23 @@ class Instance:
     ``parameters``, ``inputs`` and ``outputs`` may be read and set at any time; `step` reads and fills them.
     """
 
+    _bundle, _initialize, _step = Bundle, staticmethod(initialize), staticmethod(step)
+
     def __init__(self, assembly: Assembly) -> None:
         self._assembly = assembly
-        self._model, self._state = Bundle(assembly.model), Bundle(assembly.state)
-        self._scratch = Bundle(assembly.scratch)
+        self._model, self._state = Bundle(assembly.model), self._bundle(assembly.state)
+        self._scratch = self._bundle(assembly.scratch)
         self.model: Model = assembly.model
         self.state: State = self._state.fields
         self.scratch: Scratch = self._scratch.fields
         self.parameters = assembly.parameters.copy()
         self.inputs = assembly.inputs.copy()
-        self.outputs = assembly.outputs.copy()
+        self.outputs = self._results = assembly.outputs.copy()
         self._ranges = np.full((2, assembly.parameters.size), [[-np.inf], [np.inf]])
         for v in assembly.variables:
             if v.block == "parameters":
                 self._ranges[:, v.slot] = v.minimum, v.maximum
+        self._start = self.copy_state()
 
     def _arguments(self) -> tuple[Bundle[Model], Real, Bundle[State], Real]:
         return self._model, self.parameters, self._state, self.inputs
@@ -55,17 +58,17 @@ class Instance:
     def initialize(self) -> None:
         """Put the instruments at the poses of the inputs; outputs follow. Raises WorkError."""
         before = self.copy_state()
-        self.restore_state((self._assembly.state_index, self._assembly.state_real))
-        self._do(initialize, (), before)
+        self.restore_state(self._start)
+        self._do(self._initialize, (), before)
 
     def step(self, h: float) -> None:
         """One communication step h [s]. Raises WorkError; the state from before the step then stays."""
-        self._do(step, (h,), self.copy_state())
+        self._do(self._step, (h,), self.copy_state())
 
     def _do(self, entry: Callable[..., int], more: tuple[float, ...], saved: tuple[Index, Real]) -> None:
         """Run an entry of the kernels; if it fails, everything that persists is as it was saved."""
         given = self.outputs.copy()
-        status = self._check_parameters() or entry(*self._arguments(), *more, self.outputs, self._scratch)
+        status = self._check_parameters() or entry(*self._arguments(), *more, self._results, self._scratch)
         if status != OK:
             self.restore_state(saved)
             self.outputs[:] = given
@@ -79,6 +82,26 @@ class Instance:
             return OK
         self.scratch.detail[:] = wrong[0], self.parameters[wrong[0]]
         return PARAMETER_RANGE
+
+
+def run(instance: Instance, inputs: Real, h: float) -> Iterator[int]:
+    """Run an instance from its start; arguments and errors as for `rollout`.
+
+    Yields
+    ------
+    int
+        Row of the inputs at which the outputs of the instance now are.
+    """
+    instance.inputs[:] = inputs[0]
+    instance.initialize()
+    yield 0
+    for n, row in enumerate(inputs[1:]):
+        instance.inputs[:] = row
+        try:
+            instance.step(h)
+        except WorkError as error:
+            raise WorkError(f"step {n + 1} at {n * h:g} s: {error}") from error
+        yield n + 1
 
 
 def rollout(assembly: Assembly, inputs: Real, h: float, parameters: Real | None = None) -> Rollout:
@@ -102,15 +125,7 @@ def rollout(assembly: Assembly, inputs: Real, h: float, parameters: Real | None 
     instance = Instance(assembly)
     if parameters is not None:
         instance.parameters[:] = parameters
-    instance.inputs[:] = inputs[0]
-    instance.initialize()
     outputs = np.empty((len(inputs), instance.outputs.size))
-    outputs[0] = instance.outputs
-    for n, row in enumerate(inputs[1:]):
-        instance.inputs[:] = row
-        try:
-            instance.step(h)
-        except WorkError as error:
-            raise WorkError(f"step {n + 1} at {n * h:g} s: {error}") from error
-        outputs[n + 1] = instance.outputs
+    for n in run(instance, inputs, h):
+        outputs[n] = instance.outputs
     return Rollout(outputs, instance.state)
