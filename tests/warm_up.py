@@ -7,6 +7,7 @@ from pathlib import Path
 from tissue_contact.assemble import assemble
 from tissue_contact.fmu.compile import shared_library
 from tissue_contact.fmu.native import host_platform
+from tissue_contact.identify.sensitivity import DualInstance
 from tissue_contact.scene import parse_scene
 from tissue_contact.simulate import Instance
 
@@ -27,9 +28,10 @@ def main() -> None:
     """Numba compiles for the FMU in a process of its own, so that a thread is enough to wait for it."""
     with ThreadPoolExecutor(1) as pool:
         native = pool.submit(shared_library, host_platform(), progress=lambda text: print(text, file=sys.stderr))
-        instance = Instance(assemble(parse_scene(SCENE, Path())))
-        instance.initialize()
-        instance.step(1e-3)
+        assembly = assemble(parse_scene(SCENE, Path()))
+        for instance in (Instance(assembly), DualInstance(assembly, assembly.parameters, 0)):
+            instance.initialize()
+            instance.step(1e-3)
         native.result()
 
 
