@@ -93,8 +93,8 @@ def _schema_at(table: type[Settings], loc: Key) -> Schema:
             node = {**whole, **node.get("items", {})}
         elif step in tags:
             node = {"$ref": tags[step]}
-        else:  # a choice between a word, a list and a table
-            kind = {"word": "string", "list": "array"}.get(step, "object")
+        else:  # a choice between a word, a number, a list and a table
+            kind = {"word": "string", "number": "number", "list": "array"}.get(step, "object")
             branches = [_resolved(b, root) for b in node.get("anyOf", []) + node.get("oneOf", [])]
             node = {**whole, **next((b for b in branches if b.get("type") == kind), {})}
         node = _resolved(node, root)
