@@ -15,7 +15,7 @@ class Recording:
     name: str  # of the probe
     region: str  # what the probe belongs to, "" without
     place: str  # the file, for messages
-    lines: npt.NDArray[np.int64]  # shape [n], line of the file
+    lines: npt.NDArray[np.int64]  # shape [n], line of the file; of the sample before, where resampled
     time: Real | None = None  # [s], shape [n], increasing
     depth: Real | None = None  # [m], shape [n], positive inside
     rate: Real | None = None  # [m/s], shape [n], of depth
