@@ -89,6 +89,10 @@ def run(
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="Value of an FMU parameter, may be given several times."),
     ] = None,
+    parameters: Annotated[
+        Path | None,
+        typer.Option(metavar="RESULT", help="Result of a fit, whose parameters are set; --set goes before them."),
+    ] = None,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     progress: Annotated[bool, typer.Option(help="Show a progress bar on a terminal.")] = True,
 ) -> None:
@@ -97,6 +101,10 @@ def run(
     from tissue_contact.scenarios.scenario import read_scenario
 
     read = read_scenario(scenario)
+    if parameters is not None:
+        from tissue_contact.identify.result import read_result
+
+        values = read_result(parameters).parameters | values
     from tissue_contact.scenarios.run import run as run_scenario
 
     outcome = run_scenario(read, output or Path("build") / read.name, values, progress, figures)
@@ -117,6 +125,96 @@ def check(fmu: Annotated[Path, typer.Argument(metavar="X.fmu", help="FMU to chec
     typer.echo(f"{fmu}: {len(findings)} findings" if findings else f"{fmu}: no findings")
     if findings:
         raise typer.Exit(1)
+
+
+@_command("tissue-contact fit probing.csv --law hunt_crossley -o fitted")
+def fit(
+    data: Annotated[list[Path], typer.Argument(metavar="DATA...", help="CSV files of recordings.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")],
+    mapping: Annotated[
+        Path | None, typer.Option(metavar="MAP.toml", help="Which column is what, and how the data are treated.")
+    ] = None,
+    treat: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="Treatment of the data, such as low_pass=20; before that of --mapping."),
+    ] = None,
+    law: Annotated[
+        list[str] | None, typer.Option(help="Force law, may be given several times. Both by default.")
+    ] = None,
+    scene: Annotated[
+        Path | None, typer.Option(metavar="SCENE", help="Scene whose geometry, or with --parameter model, is fitted.")
+    ] = None,
+    fmu: Annotated[Path | None, typer.Option(metavar="X.fmu", help="FMU to fit instead of a scene.")] = None,
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Tunable parameter to fit with the whole model, may be given several times."),
+    ] = None,
+    instrument: Annotated[str | None, typer.Option(metavar="NAME", help="Instrument that was recorded.")] = None,
+    contact: Annotated[str | None, typer.Option(metavar="NAME", help="Contact whose law is fitted.")] = None,
+    tip_radius: Annotated[
+        float | None, typer.Option(min=1e-5, max=1, help="Radius of a round tip [m]: fits an elastic foundation.")
+    ] = None,
+    tip_area: Annotated[
+        float | None, typer.Option(min=1e-10, max=1, help="Area of a flat tip [m2]: fits an elastic foundation.")
+    ] = None,
+    fix: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Constant that is not fitted.")] = None,
+    bounds: Annotated[list[str] | None, typer.Option(metavar="NAME=LOW:HIGH", help="Bounds of a constant.")] = None,
+    grid: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=LOW:HIGH:COUNT", help="Values of a parameter to try before the fit."),
+    ] = None,
+    loss: Annotated[str, typer.Option(help="linear, or one that bears outliers: huber, soft_l1, cauchy.")] = "linear",
+    folds: Annotated[int, typer.Option(min=2, max=100, help="Parts of which each is held out in turn.")] = 5,
+    starts: Annotated[int, typer.Option(min=1, max=1000, help="Fits of a whole model, each from elsewhere.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Number that picks folds and starts.")] = 0,
+    workers: Annotated[int, typer.Option(min=1, max=1024, help="Processes to spread the work over.")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to spread the work over instead.")
+    ] = None,
+    write_scene: Annotated[
+        Path | None, typer.Option(metavar="OUT.toml", help="Write the scene with the constants that were found.")
+    ] = None,
+    progress: Annotated[bool, typer.Option(help="Show a progress bar on a terminal.")] = True,
+) -> None:
+    """Identify constants from measured force: of a contact law alone, or with --parameter of a whole model."""
+    from tissue_contact.identify.laws import LAWS
+    from tissue_contact.identify.least_squares import LOSSES
+    from tissue_contact.scenarios.fit import Request
+    from tissue_contact.scenarios.fit import fit as fit_data
+    from tissue_contact.settings import nearest
+
+    for option, words, known in (("--law", law or [], tuple(LAWS)), ("--loss", [loss], LOSSES)):
+        for word in words:
+            if word not in known:
+                way_out = nearest(word, known, what="values")
+                raise InputError(option, f"the value must be {' or '.join(known)}", word, way_out)
+    fit_data(
+        Request(
+            data=data,
+            output=output,
+            mapping=mapping,
+            treatment=treat or [],
+            laws=law or tuple(LAWS),
+            scene=scene,
+            fmu=fmu,
+            parameters=parameter or [],
+            instrument=instrument,
+            contact=contact,
+            tip_radius=tip_radius,
+            tip_area=tip_area,
+            given=_assignments(fix or [], "--fix"),
+            bounds={name: (low, high) for name, (low, high) in _ranges(bounds or [], "--bounds", 2).items()},
+            grid={name: (low, high, round(n)) for name, (low, high, n) in _ranges(grid or [], "--grid", 3).items()},
+            loss=loss,
+            folds=folds,
+            starts=starts,
+            seed=seed,
+            workers=workers,
+            scheduler=scheduler,
+            write_scene=write_scene,
+            progress=progress,
+        )
+    )
 
 
 @_command("tissue-contact mesh liver.stl --scale 0.001 --repair liver-mended.stl")
@@ -184,18 +282,25 @@ def _tell(text: str) -> None:
     typer.echo(text, err=True)
 
 
-def _assignments(words: list[str]) -> dict[str, float]:
+def _assignments(words: list[str], option: str = "--set") -> dict[str, float]:
+    return {name: value for name, (value,) in _ranges(words, option, 1).items()}
+
+
+def _ranges(words: list[str], option: str, count: int) -> dict[str, list[float]]:
+    """Names with so many numbers each, as NAME=NUMBER:NUMBER gives them."""
     values = {}
+    form = {1: "VALUE", 2: "LOW:HIGH", 3: "LOW:HIGH:COUNT"}[count]
+    example = {1: "contact.stiffness=300", 2: "stiffness=100:400", 3: "contact.stiffness=100:400:7"}[count]
     for word in words:
-        name, equals, value = word.partition("=")
+        name, _, text = word.partition("=")
         try:
-            values[name.strip()] = float(value)
+            values[name.strip()] = [float(part) for part in text.split(":")]
+            wrong = not name.strip() or len(values[name.strip()]) != count
         except ValueError:
-            rule = "a parameter must be set as NAME=VALUE with a number"
-            raise InputError("--set", rule, word, "Write for instance contact.stiffness=300") from None
-        if not (equals and name.strip()):
-            rule = "a parameter must be set as NAME=VALUE with a number"
-            raise InputError("--set", rule, word, "Write for instance contact.stiffness=300")
+            wrong = True
+        if wrong:
+            rule = f"it must be written as NAME={form} with {'a number' if count == 1 else 'numbers'}"
+            raise InputError(option, rule, word, f"Write for instance {example}")
     return values
 
 

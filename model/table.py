@@ -87,16 +87,16 @@ def _parameter_variables(scene: Scene) -> list[Variable]:
             add(tissue.name, "supportDamping", own + slots.SUPPORT_DAMPING, tissue, "support_damping")
         for key in ("drag", "nonlinearity", "area_stiffness", "volume_stiffness"):
             if getattr(tissue, key) > 0.0:
-                add(tissue.name, _camel(key), own + getattr(slots, key.upper()), tissue, key)
+                add(tissue.name, camel(key), own + getattr(slots, key.upper()), tissue, key)
     for k, contact in enumerate(scene.contact):
         own = Sizes(scene).contacts + slots.CONTACT_PARAMETERS * k
         for key, slot in contact_keys(contact).items():
-            add(contact.name, _camel(key), own + slot, contact, key)
+            add(contact.name, camel(key), own + slot, contact, key)
     for j, grasper in enumerate(graspers_of(scene)):
         own = Sizes(scene).grasps + slots.GRASP_PARAMETERS * j
         assert grasper.grasp is not None
         for key in ("stiffness", "damping", "slip_force"):
-            add(grasper.name, _camel(f"grasp_{key}"), own + getattr(slots, f"GRASP_{key.upper()}"), grasper.grasp, key)
+            add(grasper.name, camel(f"grasp_{key}"), own + getattr(slots, f"GRASP_{key.upper()}"), grasper.grasp, key)
     return table
 
 
@@ -112,7 +112,8 @@ def contact_keys(contact: Contact) -> dict[str, int]:
     return keys
 
 
-def _camel(key: str) -> str:
+def camel(key: str) -> str:
+    """Name of a variable that is a key of the scene: stiffness_per_area is stiffnessPerArea."""
     first, *rest = key.split("_")
     return first + "".join(word.capitalize() for word in rest)
 

@@ -98,13 +98,14 @@ def check_parameters(values: Mapping[str, float], description: ModelDescription)
         place = f"--set {name}={value:g}"
         if name not in known:
             raise InputError(place, "the FMU must have the parameter", name, nearest(name, known, what="parameters"))
-        low, high = _bound(known[name].min, -np.inf), _bound(known[name].max, np.inf)
+        low, high = bound(known[name].min, -np.inf), bound(known[name].max, np.inf)
         if not low <= value <= high:  # also refuses NaN
             rule = f"the value must lie between {low:g} and {high:g} {known[name].unit or ''}".rstrip()
             raise InputError(place, rule, value, f"It starts at {known[name].start}")
 
 
-def _bound(text: str | None, default: float) -> float:
+def bound(text: str | None, default: float) -> float:
+    """Bound of a variable in a model description, which may lack it."""
     return default if text is None else float(text)
 
 
@@ -296,7 +297,7 @@ def run(
         console.print(remark, highlight=False, markup=False)
     times, steps = communication_points(scenario.duration, scenario.scene.solver.step)
     inputs = scenario.stimulus.sample(times)
-    with _bar(console, progress) as bar:
+    with bar_of(console, progress) as bar:
         task = bar.add_task("", total=len(times))
         fmu = fmu_of(scenario.scene, assembly, lambda text: bar.update(task, description=text))
         description = fmpy.read_model_description(str(fmu))
@@ -363,7 +364,8 @@ def _keep(trace: Trace, output: Path, name: str) -> str:
     return f"Kept the {trace.done} rows up to {trace.time[trace.done - 1]:g} s in {path}"
 
 
-def _bar(console: Console, wanted: bool) -> Progress:
+def bar_of(console: Console, wanted: bool) -> Progress:
+    """A progress bar with the remaining time, on a terminal only."""
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),

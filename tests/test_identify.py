@@ -91,7 +91,7 @@ def test_clean_data_give_the_constants_back(law):
 def test_intervals_cover_the_truth_as_often_as_they_say(law, noise):
     seed, draws = 3, 200
     rng = np.random.default_rng(seed)
-    force, touches = Force(law, swept()), swept()
+    force = Force(law, swept())
     clean = force(TRUTH[law])[0]
     lower, upper = np.array([[c.minimum, c.maximum] for c in constants_of(law, False)]).T
     hits = np.zeros(TRUTH[law].size)
@@ -217,9 +217,11 @@ def test_a_dask_cluster_gives_the_same_results():
     from distributed import LocalCluster
 
     some = probes(3)
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1") as cluster:
-        with pool(1, cluster.scheduler_address) as spread:
-            together = fit_laws(some, Options(laws=("kelvin_voigt",)), True, "", spread)
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1") as cluster,
+        pool(1, cluster.scheduler_address) as spread,
+    ):
+        together = fit_laws(some, Options(laws=("kelvin_voigt",)), True, "", spread)
     assert together[0] == fit_laws(some, Options(laws=("kelvin_voigt",)), True, "")[0]
 
 

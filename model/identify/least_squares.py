@@ -9,8 +9,6 @@ from scipy.optimize import least_squares
 from tissue_contact.identify.recording import Real
 
 LOSSES = ("linear", "huber", "soft_l1", "cauchy")
-TOLERANCE = 1e-12  # relative, of cost and step: well below any noise, so that clean data give the constants back
-
 Model = Callable[[Real], tuple[Real, Real]]  # values, shape [m], and Jacobian, shape [m, p], of the constants
 
 
@@ -36,6 +34,7 @@ def fit(
     upper: Real,
     loss: str = "linear",
     noise: float | None = None,
+    tolerance: float = 1e-12,
 ) -> Fit:
     """Best of the fits from several starts: Gauss–Newton within a trust region and bounds (Branch and others 1999).
 
@@ -50,9 +49,11 @@ def fit(
         One of `LOSSES`; all but "linear" weigh down what is far off.
     noise
         Residual above which it does [unit of measured]; without it 1.5 times the robust spread of a linear fit.
+    tolerance
+        Relative change of cost and constants at which the search ends.
     """
     if loss != "linear" and noise is None:
-        plain = fit(model, measured, starts, lower, upper)
+        plain = fit(model, measured, starts, lower, upper, tolerance=tolerance)
         spread = 1.4826 * float(np.median(np.abs(plain.residual - np.median(plain.residual))))
         noise = 1.5 * spread or 1.0
     best: Fit | None = None
@@ -89,9 +90,9 @@ def fit(
             x_scale="jac",
             loss=loss,
             f_scale=noise or 1.0,
-            ftol=TOLERANCE,
-            xtol=TOLERANCE,
-            gtol=TOLERANCE,
+            ftol=tolerance,
+            xtol=tolerance,
+            gtol=1e-15,
             max_nfev=500,
         )
         evaluations += found.nfev

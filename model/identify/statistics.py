@@ -60,7 +60,7 @@ def uncertainty(fit: Fit, positive: npt.NDArray[np.bool_]) -> Uncertainty:
             )
             np.fill_diagonal(correlation, 1.0)
     reach = student.ppf(0.5 + 0.5 * CONFIDENCE, max(free, 1)) * error
-    factor = np.exp(np.fmin(reach / np.where(positive, fit.values, 1.0), 700.0))
+    factor = np.exp(np.fmin(reach / np.where(positive, fit.values, 1.0), 300.0))  # no value times it overflows
     low = np.where(positive, fit.values / factor, fit.values - reach)
     high = np.where(positive, fit.values * factor, fit.values + reach)
     return Uncertainty(error, low, high, correlation)

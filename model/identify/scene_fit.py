@@ -1,0 +1,257 @@
+"""Identification of the parameters of a whole scene: rollouts against measured force, from many starts."""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from scipy.stats import qmc
+
+from tissue_contact.errors import InputError
+from tissue_contact.files import publish
+from tissue_contact.identify.least_squares import Fit, fit
+from tissue_contact.identify.pool import Spread, in_line
+from tissue_contact.identify.recording import Real
+from tissue_contact.identify.result import Fitted, HeldOut
+from tissue_contact.identify.rollouts import Drive, ForceModel, as_casadi
+from tissue_contact.identify.statistics import determination, root_mean_square
+from tissue_contact.identify.verdicts import estimates_of, numbers
+from tissue_contact.variables import Variable
+
+TOLERANCE = 1e-7  # of a search: rollouts jump by more as single points come into contact
+REACH = 10.0  # further starts lie between the scene's value over this and times this
+
+
+class Maker(Protocol):
+    """Makes the force model of some drives anew, in whatever process; can be pickled."""
+
+    def __call__(self, drives: Sequence[Drive]) -> ForceModel: ...
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """What the user chose."""
+
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # narrower than the scene's
+    loss: str = "linear"
+    starts: int = 1
+    grid: Mapping[str, tuple[float, float, int]] = field(default_factory=dict)  # least, greatest, number of each
+    folds: int = 5
+    seed: int = 0  # of starts and folds
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    make: Maker
+    drives: Sequence[Drive]
+    start: Real
+    lower: Real
+    upper: Real
+    loss: str
+    unseen: Sequence[Drive] = ()
+
+
+class Kept:
+    """Results of tasks in a file, so that a fit that was interrupted goes on where it was."""
+
+    def __init__(self, path: Path, problem: str) -> None:
+        self.path, self._problem = path, problem
+        self.done: dict[str, Any] = {}
+        if path.is_file():
+            try:
+                kept = json.loads(path.read_bytes())
+            except ValueError:
+                kept = {}
+            # Of other data, another scene or other bounds it says nothing.
+            self.done = kept.get("done", {}) if kept.get("problem") == problem else {}
+
+    def spread(
+        self, spread: Spread, work: Callable[[Any], Any], tasks: Sequence[Any], keys: Sequence[str],
+        on_done: Callable[[], None],
+    ) -> list[Any]:  # fmt: skip
+        """Results of all tasks, of which only those are done that are not kept; every one is kept at once."""
+        open_ = [n for n, key in enumerate(keys) if key not in self.done]
+        for _ in range(len(keys) - len(open_)):
+            on_done()
+
+        def keep(n: int, result: Any) -> None:
+            self.done[keys[open_[n]]] = result
+            publish(self.path, json.dumps({"problem": self._problem, "done": self.done}).encode())
+            on_done()
+
+        spread(work, [tasks[n] for n in open_], keep)
+        return [self.done[key] for key in keys]
+
+
+def _model_of(make: Maker, drives: Sequence[Drive]) -> tuple[Callable[[Real], tuple[Real, Real]], Real, list[Any]]:
+    """Force and Jacobian through casadi, the measured force, and what must be kept alive."""
+    measured = np.concatenate([d.measured for d in drives])
+    force = as_casadi(make(drives), len(measured))
+    constants = ca.MX.sym("parameters", force.size1_in(0))
+    value = force(constants)
+    both = ca.Function("both", [constants], [value, ca.jacobian(value, constants)])
+
+    def model(values: Real) -> tuple[Real, Real]:
+        size, slope = both(values)
+        return np.asarray(size).ravel(), np.asarray(slope)
+
+    return model, measured, [force]
+
+
+def _from_start(task: _Task) -> dict[str, Any]:
+    model, measured, _alive = _model_of(task.make, task.drives)
+    found = fit(model, measured, [task.start], task.lower, task.upper, task.loss, tolerance=TOLERANCE)
+    missed: list[float] = []
+    if task.unseen:
+        own, other, _also = _model_of(task.make, task.unseen)
+        missed = (own(found.values)[0] - other).tolist()
+    return {
+        "values": found.values.tolist(),
+        "cost": found.cost,
+        "evaluations": found.evaluations,
+        "converged": found.converged,
+        "message": found.message,
+        "missed": missed,
+    }
+
+
+def _cost_at(task: _Task) -> float:
+    measured = np.concatenate([d.measured for d in task.drives])
+    residual = task.make(task.drives).values(task.start) - measured
+    return 0.5 * float(residual @ residual)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneFit:
+    """What the fit of a scene came to."""
+
+    fitted: Fitted
+    held_out: tuple[HeldOut, ...]
+    values: Real  # in the order of the wanted parameters
+    force: Real  # [N] at them, shape [samples · 3]
+    measured: Real
+    starts: list[dict[str, Any]]  # values, cost and evaluations from every start
+    grid: tuple[Real, Real] | None  # points, shape [n, p], and their costs
+
+
+def fit_scene(
+    make: Maker,
+    drives: Sequence[Drive],
+    variables: Sequence[Variable],
+    start: Real,
+    options: SceneOptions,
+    kept: Kept,
+    spread: Spread = in_line,
+    on_plan: Callable[[int], None] = lambda tasks: None,
+    on_done: Callable[[], None] = lambda: None,
+) -> SceneFit:
+    """Fit the wanted parameters to all drives from several starts, and to all but some.
+
+    Parameters
+    ----------
+    make
+        Makes the force model.
+    drives
+        One for every recording.
+    variables
+        The wanted parameters, with their ranges.
+    start : shape [p]
+        Values of the scene, where the first fit begins.
+    options
+    kept
+        File in which finished work is kept.
+    spread
+        From `pool`.
+    on_plan, on_done
+        Told the number of tasks, and whenever one is done.
+    """
+    limits = np.array([_limits(v, options) for v in variables])
+    lower, upper = limits[:, 0], limits[:, 1]
+    points = _grid(variables, start, options)
+    parts = _folds(len(drives), options)
+    on_plan(len(points) + options.starts + len(parts))
+
+    def task(at: Real, seen: Sequence[Drive] = drives, unseen: Sequence[Drive] = ()) -> _Task:
+        return _Task(make, seen, np.clip(at, lower, upper), lower, upper, options.loss, unseen)
+
+    costs = kept.spread(spread, _cost_at, [task(p) for p in points], [f"grid {p.tolist()}" for p in points], on_done)
+    begin = points[int(np.argmin(costs))] if costs else start
+    starts = _starts(begin, lower, upper, options)
+    runs = kept.spread(spread, _from_start, [task(s) for s in starts], [f"start {s.tolist()}" for s in starts], on_done)
+    best = min(runs, key=lambda run: run["cost"])
+    values = np.array(best["values"])
+    model, measured, _alive = _model_of(make, drives)
+    force, jacobian = model(values)
+    found = Fit(
+        values, force - measured, jacobian, np.ones_like(measured), best["cost"],
+        sum(run["evaluations"] for run in runs), best["converged"], best["message"],
+    )  # fmt: skip
+    estimates, correlation = estimates_of(found, [v.name for v in variables], [v.unit for v in variables], lower, upper)
+    fitted = numbers(found, measured, "pooled", "all probes", "scene", estimates, correlation)
+    folds = [([drives[k] for k in rest], [drives[k] for k in part]) for rest, part in parts]
+    keys = [f"fold {part} from {values.tolist()}" for _, part in parts]
+    tried = kept.spread(spread, _from_start, [task(values, *f) for f in folds], keys, on_done)
+    held_out: tuple[HeldOut, ...] = ()
+    if tried:
+        missed = np.concatenate([t["missed"] for t in tried])
+        seen = np.concatenate([d.measured for _, unseen in folds for d in unseen])
+        r2 = determination(missed, seen)
+        held_out = (
+            HeldOut(
+                law="scene", what="probes", folds=len(tried), rmse=root_mean_square(missed),
+                r2=r2 if np.isfinite(r2) else None,
+            ),
+        )  # fmt: skip
+    grid = (np.array(points), np.array(costs)) if costs else None
+    return SceneFit(fitted, held_out, values, force, measured, runs, grid)
+
+
+def problem_of(*parts: object) -> str:
+    """Digest of all that a fit depends on, for `Kept`."""
+    own = hashlib.sha256()
+    for part in parts:
+        own.update(part.tobytes() if isinstance(part, np.ndarray) else repr(part).encode())
+        own.update(b"\0")
+    return own.hexdigest()
+
+
+def _limits(variable: Variable, options: SceneOptions) -> tuple[float, float]:
+    low, high = options.bounds.get(variable.name, (variable.minimum, variable.maximum))
+    if not variable.minimum <= low < high <= variable.maximum:
+        rule = f"bounds of {variable.name} must be in order and within {variable.minimum:g} to {variable.maximum:g}"
+        raise InputError("--bounds", f"{rule} {variable.unit}", f"{low:g}:{high:g}", "Choose within")
+    return low, high
+
+
+def _starts(begin: Real, lower: Real, upper: Real, options: SceneOptions) -> list[Real]:
+    """The first start, then others spread evenly over the logarithms round it."""
+    low, high = np.fmax(lower, begin / REACH), np.fmin(upper, begin * REACH)
+    starts = [begin]
+    if options.starts > 1:
+        share = qmc.Sobol(len(begin), rng=options.seed).random(options.starts - 1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            spread = np.where(low > 0.0, low * (high / np.where(low > 0.0, low, 1.0)) ** share, high * share)
+        starts += list(spread)
+    return starts
+
+
+def _grid(variables: Sequence[Variable], start: Real, options: SceneOptions) -> list[Real]:
+    if not options.grid:
+        return []
+    axes = [
+        np.linspace(*options.grid[v.name]) if v.name in options.grid else np.array([start[k]])
+        for k, v in enumerate(variables)
+    ]
+    return list(np.stack([part.ravel() for part in np.meshgrid(*axes, indexing="ij")], axis=1))
+
+
+def _folds(count: int, options: SceneOptions) -> list[tuple[list[int], list[int]]]:
+    if count < 2:
+        return []
+    order = np.random.default_rng(options.seed).permutation(count)
+    parts = [sorted(int(k) for k in part) for part in np.array_split(order, min(options.folds, count))]
+    return [(sorted(set(range(count)) - set(part)), part) for part in parts]

@@ -1,0 +1,197 @@
+"""Identification of a whole model: recovery from the FMU's own data, both routes, derivatives, resuming."""
+
+import json
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import least_squares as scipy_least_squares
+
+from tissue_contact.assemble import assemble
+from tissue_contact.errors import InputError
+from tissue_contact.identify.pool import pool
+from tissue_contact.identify.recording import Recording
+from tissue_contact.identify.rollouts import (
+    Drive,
+    SceneForce,
+    SceneMaker,
+    as_casadi,
+    drive_of,
+    instrument_of,
+    wanted_variables,
+)
+from tissue_contact.identify.scene_fit import Kept, SceneOptions, fit_scene
+from tissue_contact.scenarios.fmu_force import FmuForce, FmuMaker, variables_of
+from tissue_contact.scenarios.run import fmu_of
+from tissue_contact.scene import parse_scene
+
+SCENE = b"""
+name = "soft"
+[[tissue]]
+shape = { kind = "patch", size = [0.03, 0.03], triangles = 300 }
+areal_density = 1.0
+stiffness = 100.0
+support_stiffness = 1e5
+support_damping = 2000.0
+[[instrument]]
+shape = { kind = "sphere", radius = 0.004, triangles = 128 }
+start_position = [0.0, 0.0, 0.001]
+[[contact]]
+stiffness_per_area = 2e7
+damping_per_area = 1e4
+"""
+NAMES = ("contact.stiffnessPerArea", "contact.dampingPerArea", "tissue.supportStiffness")
+TRUTH = np.array([3e7, 6e3, 7e4])
+STEPS = 150
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return parse_scene(SCENE, Path())
+
+
+@pytest.fixture(scope="module")
+def assembly(scene):
+    return assemble(scene)
+
+
+@pytest.fixture(scope="module")
+def fmu(scene, assembly):
+    return fmu_of(scene, lambda: assembly, lambda text: None)
+
+
+def poses(depth: float = 2.5e-3) -> np.ndarray:
+    """A press with a tremble, so that dampers are felt, with time in the first column."""
+    t = 1e-3 * np.arange(STEPS + 1)
+    z = 1e-3 - (1e-3 + depth) * np.sin(np.pi * t / t[-1]) ** 2 + 1e-4 * np.sin(2 * np.pi * 60 * t)
+    return np.stack([t, 0 * t, 0 * t, z, 1 + 0 * t, 0 * t, 0 * t, 0 * t], axis=1)
+
+
+def recorded(fmu, depth: float = 2.5e-3, values=TRUTH) -> Recording:
+    """What the FMU gives as if it had been measured."""
+    drive = blank(depth)
+    force = FmuForce(fmu, "instrument", [drive], NAMES).values(np.asarray(values))
+    pose = poses(depth)
+    return Recording(
+        "a", "", "soft.csv", np.arange(STEPS + 1), time=pose[:, 0], pose=pose[:, 1:], force_vector=force.reshape(-1, 3)
+    )  # fmt: skip
+
+
+def blank(depth: float) -> Drive:
+    return Drive(poses(depth)[:, 1:], 1e-3, np.empty(0))
+
+
+def fit(make, drives, assembly, tmp_path, spread=None, **options):
+    wanted = wanted_variables(assembly.variables, NAMES)
+    start = np.array([v.start for v in wanted])
+    kept = Kept(tmp_path / "starts.json", "problem")
+    more = () if spread is None else (spread,)
+    return fit_scene(make, drives, wanted, start, SceneOptions(**options), kept, *more)
+
+
+def test_both_routes_give_the_same_force_and_both_the_truth(fmu, assembly, tmp_path):
+    drive = drive_of(recorded(fmu), assembly.variables, "instrument")
+    in_python = SceneForce(assembly, "instrument", [drive], NAMES)
+    # One set of kernels, compiled for this processor and for any: they differ by rounding.
+    assert in_python.values(TRUTH) == pytest.approx(drive.measured, rel=1e-9, abs=1e-12)
+    for make in (SceneMaker(assembly, "instrument", NAMES), FmuMaker(fmu.read_bytes(), "instrument", NAMES)):
+        found = fit(make, [drive], assembly, tmp_path / type(make).__name__)
+        assert found.values == pytest.approx(TRUTH, rel=1e-6), type(make)
+        assert {e.verdict for e in found.fitted.estimates} == {"identified"}
+
+
+def test_jacobian_through_casadi_agrees_with_differences_through_the_fmu(fmu, assembly):
+    drive = blank(2e-3)
+    exact = SceneForce(assembly, "instrument", [drive], NAMES)
+    force = as_casadi(exact, 3 * (STEPS + 1))
+    symbol = ca.MX.sym("p", 3)
+    jacobian = ca.Function("j", [symbol], [ca.jacobian(force(symbol), symbol)])
+    _, by_difference = FmuForce(fmu, "instrument", [drive], NAMES).slopes(TRUTH)
+    # Differences over 1e-2 of the values, which jumps of single points ask for, are good to some per cent.
+    for k in range(3):
+        scale = np.abs(by_difference[:, k]).max()
+        assert np.asarray(jacobian(TRUTH))[:, k] == pytest.approx(by_difference[:, k], abs=1e-4 * scale), NAMES[k]
+
+
+def test_noise_is_told_in_the_intervals(fmu, assembly, tmp_path):
+    drive = drive_of(recorded(fmu), assembly.variables, "instrument")
+    seed = 4
+    noise = 0.02 * np.abs(drive.measured).max() * np.random.default_rng(seed).standard_normal(drive.measured.size)
+    noisy = Drive(drive.inputs, drive.step, drive.measured + noise)
+    found = fit(SceneMaker(assembly, "instrument", NAMES), [noisy], assembly, tmp_path)
+    for e, truth in zip(found.fitted.estimates, TRUTH, strict=True):
+        # Four standard errors: chance leaves them once in 10,000.
+        assert abs(e.value - truth) < 4 * e.standard_error, (seed, e)
+    assert found.fitted.rmse == pytest.approx(noise.std(), rel=0.02)
+
+
+def test_a_force_without_touch_identifies_nothing(assembly, tmp_path):
+    still = Drive(np.tile(assembly.inputs, (11, 1)), 1e-3, np.zeros(33))
+    found = fit(SceneMaker(assembly, "instrument", NAMES), [still], assembly, tmp_path)
+    assert {e.verdict for e in found.fitted.estimates} == {"not identifiable"}
+    assert {e.value for e in found.fitted.estimates} == {None}
+
+
+def test_the_optimum_is_that_of_scipy_with_differences(fmu, assembly, tmp_path):
+    drive = drive_of(recorded(fmu), assembly.variables, "instrument")
+    noise = 0.02 * np.abs(drive.measured).max() * np.random.default_rng(5).standard_normal(drive.measured.size)
+    noisy = Drive(drive.inputs, drive.step, drive.measured + noise)
+    found = fit(SceneMaker(assembly, "instrument", NAMES), [noisy], assembly, tmp_path)
+    force = SceneForce(assembly, "instrument", [noisy], NAMES)
+    other = scipy_least_squares(lambda u: force.values(u * TRUTH) - noisy.measured, np.ones(3), diff_step=1e-2)
+    # Of 450 samples with 3 constants the cost is known to a thousandth by more than one standard error.
+    assert found.fitted.rmse**2 * noise.size / 2 <= other.cost * (1 + 1e-3)
+
+
+def test_starts_folds_and_grid_are_spread_kept_and_gone_on_with(fmu, assembly, tmp_path):
+    drives = [drive_of(recorded(fmu, d), assembly.variables, "instrument") for d in (1.5e-3, 2.5e-3)]
+    make = SceneMaker(assembly, "instrument", NAMES)
+    options = {"starts": 2, "folds": 2, "grid": {NAMES[0]: (1e7, 5e7, 3)}}
+    with pool(2) as spread:
+        found = fit(make, drives, assembly, tmp_path, spread, **options)
+    assert found.values == pytest.approx(TRUTH, rel=1e-6)
+    assert found.grid is not None and found.grid[0][:, 0].tolist() == [1e7, 3e7, 5e7]
+    make_cost = SceneForce(assembly, "instrument", drives, NAMES)
+    away = make_cost.values(found.grid[0][2]) - np.concatenate([d.measured for d in drives])
+    assert found.grid[1][2] == pytest.approx(0.5 * away @ away)
+    (held_out,) = found.held_out
+    assert held_out.folds == 2 and held_out.rmse < 1e-6
+    kept = json.loads((tmp_path / "starts.json").read_text())["done"]
+    assert len(kept) == 3 + 2 + 2
+
+    def none_left(work, tasks, on_done):
+        assert tasks == []
+        return []
+
+    again = fit(make, drives, assembly, tmp_path, none_left, **options)
+    assert again.values.tolist() == found.values.tolist()
+    # Of another problem what was kept says nothing.
+    assert Kept(tmp_path / "starts.json", "other").done == {}
+
+
+def test_what_cannot_be_rolled_out_is_refused(assembly):
+    pose = poses()
+    recording = Recording("a", "", "x.csv", np.arange(STEPS + 1), time=pose[:, 0], pose=pose[:, 1:])
+    with pytest.raises(InputError, match=r"x\.csv, probe a: .*time, pose and force vector.*time and pose"):
+        drive_of(recording, assembly.variables, "instrument")
+    uneven = pose[:, 0] ** 1.1
+    recording = Recording(
+        "a", "", "x.csv", np.arange(STEPS + 1), time=uneven, pose=pose[:, 1:], force_vector=np.zeros((STEPS + 1, 3))
+    )
+    with pytest.raises(InputError, match=r"even time stamps.*resample"):
+        drive_of(recording, assembly.variables, "instrument")
+    with pytest.raises(InputError, match=r"contact\.stiffness.*stiffnessPerArea"):
+        wanted_variables(assembly.variables, ["contact.stiffness"])
+    with pytest.raises(InputError, match="probe"):
+        instrument_of(assembly.variables, "probe")
+
+
+def test_parameters_of_an_fmu_are_those_of_its_scene(fmu, assembly):
+    import fmpy
+
+    found = variables_of(fmpy.read_model_description(str(fmu)))
+    # Slots of the FMU's own are not told; inputs count the same either way.
+    own = [v for v in assembly.variables if v.block != "outputs"]
+    assert [v._replace(slot=0) for v in found] == [v._replace(slot=0) for v in own]
+    assert [v.slot for v in found if v.block == "inputs"] == list(range(len(assembly.inputs)))
