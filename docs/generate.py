@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tissue_contact import scene
+from tissue_contact.identify import columns, reading, treatment
 from tissue_contact.scenarios import scenario, stimulus
 from tissue_contact.scene import parse_scene
 from tissue_contact.settings import Settings, setting
@@ -118,7 +119,8 @@ def _form(node: dict[str, Any], root: dict[str, Any]) -> str:
     """What may be written for a value, in words."""
     node = _plain(node, root)
     if "const" in node or "enum" in node:
-        return ", ".join(f'`"{word}"`' for word in node.get("enum", [node.get("const")]))
+        words = node.get("enum", [node.get("const")])
+        return ", ".join(f'`"{word}"`' if isinstance(word, str) else f"{word}" for word in words)
     if "oneOf" in node or "anyOf" in node:
         forms = [_form(b, root) for b in node.get("oneOf", node.get("anyOf"))]
         return ", ".join(dict.fromkeys(forms))
@@ -129,9 +131,9 @@ def _form(node: dict[str, Any], root: dict[str, Any]) -> str:
             return "tables"
         return f"{least} × ({items})" if least is not None and least == most else f"list of ({items})"
     name = "name" if "pattern" in node else "text"
-    words = {"number": "number", "integer": "whole number", "string": name, "boolean": "true, false", "object": "table"}
+    kinds = {"number": "number", "integer": "whole number", "string": name, "boolean": "true, false", "object": "table"}
     bounds = [f"{node[key]:.10g}" for key in ("minimum", "maximum") if key in node]
-    return f"{words[node['type']]} {' to '.join(bounds)}".strip()
+    return f"{kinds[node['type']]} {' to '.join(bounds)}".strip()
 
 
 def _default(value: object) -> str:
@@ -188,6 +190,29 @@ def scenario_page() -> str:
     return f"{head}{tables}\n## `[[stimulus]]`\n\nWhat moves one instrument.\n{kinds}{parts}"
 
 
+def data_page() -> str:
+    """Columns of recordings and every key of their description."""
+    head = (
+        f"{NOTE}# Recordings for a fit\n\nA recording is a CSV file. A title is a quantity and its unit, `depth_mm` or "
+        "`depth [mm]`; case matters in the unit only. `probe` and `region` tell probes apart and what they belong to. "
+        "Other columns are told and not read. How they are used: [identification](../identification.md).\n\n"
+    )
+    rows = [
+        (", ".join(f"`{title}`" for title in (name, *own.aliases)), ", ".join(unit or "none" for unit in own.units))
+        for name, own in columns.QUANTITIES.items()
+    ]
+    described = (
+        "\n# Description of recordings\n\nA TOML file for `tissue-contact fit --mapping`, where titles do not tell or "
+        "data are to be treated. An empty default means none.\n"
+    )
+    tables = (
+        ("The file", reading.Description),
+        ("`[columns]`", columns.Mapping),
+        ("`[treatment]`", treatment.Treatment),
+    )
+    return f"{head}{table(('Quantity', 'Units'), rows)}{described}{''.join(keys(s, h) for h, s in tables)}"
+
+
 # --- variables and status codes ---------------------------------------------------------------------------
 
 
@@ -240,6 +265,7 @@ def pages() -> dict[str, str]:
         "variables.md": variables_page(),
         "scene.md": scene_page(),
         "scenario.md": scenario_page(),
+        "data.md": data_page(),
         "status.md": status_page(),
     }
 

@@ -107,11 +107,14 @@ def test_jacobian_through_casadi_agrees_with_differences_through_the_fmu(fmu, as
     force = as_casadi(exact, 3 * (STEPS + 1))
     symbol = ca.MX.sym("p", 3)
     jacobian = ca.Function("j", [symbol], [ca.jacobian(force(symbol), symbol)])
-    _, by_difference = FmuForce(fmu, "instrument", [drive], NAMES).slopes(TRUTH)
-    # Differences over 1e-2 of the values, which jumps of single points ask for, are good to some per cent.
-    for k in range(3):
-        scale = np.abs(by_difference[:, k]).max()
-        assert np.asarray(jacobian(TRUTH))[:, k] == pytest.approx(by_difference[:, k], abs=1e-4 * scale), NAMES[k]
+    # Where the number of substeps changes, or a contact damper jumps at touch, differences see a jump and the
+    # derivative of a branch does not: the two agree to some per cent. What is exact is shown in test_sensitivity.
+    for damping, columns, tolerance in ((0.0, (0, 2), 0.05), (TRUTH[1], (0, 1, 2), 0.1)):
+        values = np.array([TRUTH[0], damping, TRUTH[2]])
+        _, by_difference = FmuForce(fmu, "instrument", [drive], NAMES).slopes(values)
+        for k in columns:
+            off = np.linalg.norm(np.asarray(jacobian(values))[:, k] - by_difference[:, k])
+            assert off < tolerance * np.linalg.norm(by_difference[:, k]), (damping, NAMES[k])
 
 
 def test_noise_is_told_in_the_intervals(fmu, assembly, tmp_path):
