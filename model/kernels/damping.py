@@ -1,15 +1,16 @@
 """Dampers and friction of contacts and holds, solved after all other forces of a substep (symplectic Euler).
 
 A damper that is taken at the velocity before the springs' kick is either unstable or, eased until it is stable, too
-weak: friction, whose slope at rest is mu F/e, hundreds of times. Here the forces are those of an implicit damper at the
-velocities u* that all other forces will give, with the dampers lumped to the vertices: at vertex i
+weak: friction, whose slope at rest is mu F/e, hundreds of times. Here every point takes its law at the velocities v'
+that the substep ends with (but for the dampers of springs, which come after):
 
-    u'_i = u*_i / (1 + dt D_i/m_i)        D_i = sum over the points of alpha_i c
+    v' = v* + K sum of w f(u')        u' = v_body - sum of w v'        K = dt / (m (1 + dt c/rho))
 
-and a point takes c times the mean of its corners' u'. What moves evenly under a contact feels the law itself; D_i is
-the row sum of a matrix without negative entries, so that whatever the constants are, the eigenvalues lie between 0 and
-1 and no motion grows without end. (For a substep it may: a very stiff damper, dt c/m far above 1, throws the heavier
-weighted of unlike corners back.) Nothing depends on the order of the points.
+v* is what all other forces give. Newton's method solves for v', each step by conjugate gradients with the row sums of
+the slopes as preconditioner. Where a point comes to stick friction is far from linear, so that the iteration starts
+from where the friction of each vertex alone, one scalar equation, would bring it. Very stiff points that push the same
+vertices in very different directions may still lead it astray. Projected Gauss-Seidel over the points (Moreau, Jean)
+then takes its place: slow, but without friction each visit lowers a convex function, whatever the constants.
 """
 
 import math
@@ -17,10 +18,24 @@ import math
 from tissue_contact.kernels.compiled import inner, pointwise
 from tissue_contact.kernels.contact import contact_law, gather, moving_point, scatter
 from tissue_contact.kernels.forces import motion_of, pose_of
-from tissue_contact.kernels.slots import AREAL_DENSITY, GATHER, SUPPORT_STIFFNESS, TISSUE_PARAMETERS
+from tissue_contact.kernels.slots import (
+    AREAL_DENSITY,
+    DRAG,
+    GATHER,
+    SUPPORT_DAMPING,
+    SUPPORT_STIFFNESS,
+    TISSUE_PARAMETERS,
+)
 from tissue_contact.kernels.vectors import dot
 
-NEWTON = 12  # iterations for the velocity of sliding; it converges from below, quadratically
+SLIDING = 12  # iterations for the velocity of sliding; it converges from below, quadratically
+# Newton ends when the residual has fallen to this share of what the forces do to the velocities, in the norm of the
+# masses. A force in a steady stick is then right to some thousandths.
+RESIDUAL = 1e-3
+NEWTON = 8  # steps at most; one or two do but where much comes to stick at once
+FORCING = 3e-3  # of a Newton step's residual, to which its linear system is solved: one step does without friction
+CONJUGATE = 60  # iterations of one solve at most
+SWEEPS = 40  # of Gauss-Seidel, where Newton does not converge
 
 
 @pointwise
@@ -31,7 +46,7 @@ def _sliding(speed, most, slip_speed):
     increasing, so that Newton's iterations rise to it.
     """
     s = max(0.0, speed - most)
-    for _ in range(NEWTON):
+    for _ in range(SLIDING):
         root = math.sqrt(s * s + slip_speed * slip_speed)
         step = (speed - s - most * s / root) / (1.0 + most * slip_speed * slip_speed / (root * root * root))
         s += step
@@ -50,50 +65,348 @@ def _of_point(model, contact):
 
 
 @inner
-def _lump(model, parameters, scratch):
-    """Lump dampers [N·s/m] and full friction [N] of all noted points to the vertices."""
-    damping, friction = scratch.vertex_damping, scratch.vertex_friction
-    points = min(int(scratch.active[0]), scratch.active_a.size)
+def _friction(model, parameters, contact):
+    """Coefficient of friction and slip speed [m/s] of a noted point."""
+    if contact < model.contact_body.size:
+        law = contact_law(model, parameters, contact)
+        return law[4], law[5]
+    return 0.0, 1.0
+
+
+@pointwise
+def _corners(scratch, m):
+    """Vertices of a noted point and their weights."""
+    return (
+        scratch.active_a[m],
+        scratch.active_b[m],
+        scratch.active_c[m],
+        scratch.active_wa[m],
+        scratch.active_wb[m],
+        scratch.active_wc[m],
+    )
+
+
+@pointwise
+def _arm(scratch, m):
+    """Arm [m] of a noted point from the origin of its body's frame."""
+    return scratch.active_arm_x[m], scratch.active_arm_y[m], scratch.active_arm_z[m]
+
+
+@pointwise
+def _axes(block, n):
+    """A block of 3 n numbers by axis."""
+    return block[:n], block[n : 2 * n], block[2 * n : 3 * n]
+
+
+@pointwise
+def _mean(x, y, z, a, b, c, wa, wb, wc):
+    """Mean of three vertices."""
+    return wa * x[a] + wb * x[b] + wc * x[c], wa * y[a] + wb * y[b] + wc * y[c], wa * z[a] + wb * z[b] + wc * z[c]
+
+
+@inner
+def _start(model, parameters, state, scratch, points, dt):
+    """List the corners of all points, with their velocities from all other forces and their masses; their number."""
+    n, vectors = state.x.size, scratch.damping
+    (sx, sy, sz), (vx, vy, vz) = _axes(vectors, n), _axes(vectors[3 * n :], n)
+    mobility, mass = vectors[18 * n : 19 * n], vectors[19 * n :]
     for m in range(points):
         for v in (scratch.active_a[m], scratch.active_b[m], scratch.active_c[m]):
-            damping[v] = 0.0
-            friction[v] = 0.0
-    contact, rubs = -1, 0.0
+            mass[v] = -1.0
+    contact, corners = -1, 0
+    density, factor, pull = 1.0, 1.0, 0.0
     for m in range(points):
         if int(scratch.active_contact[m]) != contact:
             contact = int(scratch.active_contact[m])
-            rubs = contact_law(model, parameters, contact)[4] if contact < model.contact_body.size else 0.0
-        a, b, c = scratch.active_a[m], scratch.active_b[m], scratch.active_c[m]
-        wa, wb, wc = scratch.active_wa[m], scratch.active_wb[m], scratch.active_wc[m]
-        viscous, full = scratch.active_normal[m], rubs * scratch.active_tangential[m]
-        damping[a] += wa * viscous
-        damping[b] += wb * viscous
-        damping[c] += wc * viscous
-        friction[a] += wa * full
-        friction[b] += wb * full
-        friction[c] += wc * full
-    return points
+            own = TISSUE_PARAMETERS * _of_point(model, contact)[0]
+            density = parameters[own + AREAL_DENSITY]
+            drag = (parameters[own + DRAG] + parameters[own + SUPPORT_DAMPING]) / density
+            factor = 1.0 / (1.0 + dt * drag)
+            pull = dt * (parameters[own + SUPPORT_STIFFNESS] / density)
+        for v in (scratch.active_a[m], scratch.active_b[m], scratch.active_c[m]):
+            if mass[v] >= 0.0:
+                continue
+            scratch.corner[corners] = v
+            corners += 1
+            k, free = factor * (dt / density * model.node_mobility[v]), factor * model.node_free[v]
+            mobility[v], mass[v] = k, 1.0 / k if k > 0.0 else 0.0
+            # as `symplectic.advance` gives them
+            sx[v] = free * (state.vx[v] - pull * (state.x[v] - model.rest_x[v]) + dt * model.gravity[0])
+            sy[v] = free * (state.vy[v] - pull * (state.y[v] - model.rest_y[v]) + dt * model.gravity[1])
+            sz[v] = free * (state.vz[v] - pull * (state.z[v] - model.rest_z[v]) + dt * model.gravity[2])
+            sx[v] += k * scratch.fx[v]
+            sy[v] += k * scratch.fy[v]
+            sz[v] += k * scratch.fz[v]
+            vx[v], vy[v], vz[v] = sx[v], sy[v], sz[v]
+    return corners
 
 
-@pointwise
-def _left(ux, uy, uz, g, square, most, slip_speed):
-    """Tangential part of a velocity [m/s] after the friction of a vertex."""
-    along = (g[0] * ux + g[1] * uy + g[2] * uz) / square
-    tx, ty, tz = ux - along * g[0], uy - along * g[1], uz - along * g[2]
-    speed = math.sqrt(tx * tx + ty * ty + tz * tz)
-    f = _sliding(speed, most, slip_speed) / speed if speed > 0.0 else 0.0
-    return f * tx, f * ty, f * tz
+@inner
+def _rub(model, parameters, scratch, points, corners, n):
+    """Bring every corner to where its shares of the friction would, across the mean direction of its points."""
+    vectors = scratch.damping
+    (vx, vy, vz), mobility = _axes(vectors[3 * n :], n), vectors[18 * n : 19 * n]
+    (gx, gy, gz), (bx, by, bz) = _axes(vectors[6 * n :], n), _axes(vectors[9 * n :], n)
+    full, slip, _ = _axes(vectors[12 * n :], n)
+    for k in range(corners):
+        v = scratch.corner[k]
+        gx[v], gy[v], gz[v] = 0.0, 0.0, 0.0
+        bx[v], by[v], bz[v] = 0.0, 0.0, 0.0
+        full[v], slip[v] = 0.0, 0.0
+    contact, friction, slip_speed, rubbed = -1, 0.0, 1.0, False
+    velocity, spin = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for m in range(points):
+        if int(scratch.active_contact[m]) != contact:
+            contact = int(scratch.active_contact[m])
+            friction, slip_speed = _friction(model, parameters, contact)
+            velocity, spin = motion_of(scratch, _of_point(model, contact)[1])
+        if friction == 0.0:
+            continue
+        rubbed = True
+        a, b, c, wa, wb, wc = _corners(scratch, m)
+        f = friction * scratch.active_tangential[m]
+        wa, wb, wc = f * wa, f * wb, f * wc
+        scatter(gx, gy, gz, a, b, c, wa, wb, wc, (scratch.active_x[m], scratch.active_y[m], scratch.active_z[m]))
+        scatter(bx, by, bz, a, b, c, wa, wb, wc, moving_point(velocity, spin, _arm(scratch, m)))
+        full[a] += wa
+        full[b] += wb
+        full[c] += wc
+        slip[a] += wa * slip_speed
+        slip[b] += wb * slip_speed
+        slip[c] += wc * slip_speed
+    if not rubbed:
+        return
+    for k in range(corners):
+        v = scratch.corner[k]
+        g = (gx[v], gy[v], gz[v])
+        square = dot(g, g)
+        if not (full[v] > 0.0 and square > 0.0):
+            continue
+        ux, uy, uz = bx[v] / full[v] - vx[v], by[v] / full[v] - vy[v], bz[v] / full[v] - vz[v]
+        along = dot(g, (ux, uy, uz)) / square
+        tx, ty, tz = ux - along * g[0], uy - along * g[1], uz - along * g[2]
+        speed = math.sqrt(tx * tx + ty * ty + tz * tz)
+        if speed > 0.0:
+            f = 1.0 - _sliding(speed, mobility[v] * full[v], slip[v] / full[v]) / speed
+            vx[v] += f * tx
+            vy[v] += f * ty
+            vz[v] += f * tz
 
 
-@pointwise
-def _against(v, own, x, y, z, vx, vy, vz, fx, fy, fz, rest, mobility, free, dt, density, support, gravity):
-    """Velocity [m/s] of a body's point against vertex v after the kick of all other forces."""
-    f, still = dt * mobility[v] / density, dt * free[v]
-    return (
-        own[0] - vx[v] - f * fx[v] - still * (gravity[0] - support * (x[v] - rest[0][v])),
-        own[1] - vy[v] - f * fy[v] - still * (gravity[1] - support * (y[v] - rest[1][v])),
-        own[2] - vz[v] - f * fz[v] - still * (gravity[2] - support * (z[v] - rest[2][v])),
-    )
+@inner
+def _residual(model, parameters, scratch, points, corners, n):
+    """Forces of all points at the velocities now, their slopes, and the residual of every corner [N].
+
+    Returns
+    -------
+    left, moved, power : float
+        Squares of the norms of the residual and of what the forces have done to the velocities, and what the bodies
+        give [W].
+    """
+    vectors = scratch.damping
+    (sx, sy, sz), (vx, vy, vz) = _axes(vectors, n), _axes(vectors[3 * n :], n)
+    (rx, ry, rz), (lx, ly, lz) = _axes(vectors[6 * n :], n), _axes(vectors[15 * n :], n)
+    mobility, mass = vectors[18 * n : 19 * n], vectors[19 * n :]
+    left, moved, power = 0.0, 0.0, 0.0
+    for k in range(corners):
+        v = scratch.corner[k]
+        m = mass[v]
+        dx, dy, dz = sx[v] - vx[v], sy[v] - vy[v], sz[v] - vz[v]
+        rx[v], ry[v], rz[v] = m * dx, m * dy, m * dz
+        lx[v], ly[v], lz[v] = m, m, m
+        moved += m * (dx * dx + dy * dy + dz * dz)
+    contacts = model.contact_body.size
+    contact, friction, slip_speed = -1, 0.0, 1.0
+    velocity, spin = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for m in range(points):
+        if int(scratch.active_contact[m]) != contact:
+            contact = int(scratch.active_contact[m])
+            friction, slip_speed = _friction(model, parameters, contact)
+            velocity, spin = motion_of(scratch, _of_point(model, contact)[1])
+        a, b, c, wa, wb, wc = _corners(scratch, m)
+        own, taken = moving_point(velocity, spin, _arm(scratch, m)), _mean(vx, vy, vz, a, b, c, wa, wb, wc)
+        u = (own[0] - taken[0], own[1] - taken[1], own[2] - taken[2])
+        g = (scratch.active_x[m], scratch.active_y[m], scratch.active_z[m])
+        viscous, elastic = scratch.active_normal[m], scratch.active_tangential[m]
+        axial, across, t = 0.0, viscous, (0.0, 0.0, 0.0)
+        force = (viscous * u[0], viscous * u[1], viscous * u[2])  # a hold damps in every direction
+        if contact < contacts:
+            rate = dot(g, u)
+            size, axial, across = viscous * rate, viscous, 0.0
+            if size < -elastic:
+                size, axial = -elastic, 0.0
+            force = (size * g[0], size * g[1], size * g[2])
+            full = friction * (elastic + size)
+            if full > 0.0:
+                square = dot(g, g)
+                along = rate / square
+                t = (u[0] - along * g[0], u[1] - along * g[1], u[2] - along * g[2])
+                root = 1.0 / math.sqrt(dot(t, t) + slip_speed * slip_speed)
+                across = full * root
+                axial -= across / square
+                force = (force[0] + across * t[0], force[1] + across * t[1], force[2] + across * t[2])
+                t = (root * t[0], root * t[1], root * t[2])
+        scratch.active_fx[m], scratch.active_fy[m], scratch.active_fz[m] = force
+        scratch.active_tx[m], scratch.active_ty[m], scratch.active_tz[m] = t
+        scratch.active_axial[m], scratch.active_across[m] = axial, across
+        power += dot(force, own)
+        scatter(rx, ry, rz, a, b, c, wa, wb, wc, force)
+        slope = (
+            across * (1.0 - t[0] * t[0]) + axial * g[0] * g[0],
+            across * (1.0 - t[1] * t[1]) + axial * g[1] * g[1],
+            across * (1.0 - t[2] * t[2]) + axial * g[2] * g[2],
+        )
+        scatter(lx, ly, lz, a, b, c, wa, wb, wc, slope)
+    for k in range(corners):
+        v = scratch.corner[k]
+        left += mobility[v] * (rx[v] * rx[v] + ry[v] * ry[v] + rz[v] * rz[v])
+    return left, moved, power
+
+
+@inner
+def _product(scratch, points, corners, n):
+    """Image of the direction of the search under masses and slopes [N]."""
+    vectors = scratch.damping
+    (px, py, pz), (qx, qy, qz), mass = _axes(vectors[9 * n :], n), _axes(vectors[12 * n :], n), vectors[19 * n :]
+    for k in range(corners):
+        v = scratch.corner[k]
+        qx[v], qy[v], qz[v] = mass[v] * px[v], mass[v] * py[v], mass[v] * pz[v]
+    for m in range(points):
+        a, b, c, wa, wb, wc = _corners(scratch, m)
+        u = _mean(px, py, pz, a, b, c, wa, wb, wc)
+        g = (scratch.active_x[m], scratch.active_y[m], scratch.active_z[m])
+        t = (scratch.active_tx[m], scratch.active_ty[m], scratch.active_tz[m])
+        across = scratch.active_across[m]
+        axial, along = scratch.active_axial[m] * dot(g, u), across * dot(t, u)
+        force = (
+            across * u[0] + axial * g[0] - along * t[0],
+            across * u[1] + axial * g[1] - along * t[1],
+            across * u[2] + axial * g[2] - along * t[2],
+        )
+        scatter(qx, qy, qz, a, b, c, wa, wb, wc, force)
+
+
+@inner
+def _newton(scratch, points, corners, n):
+    """Add one Newton step to the velocities now; their residual is used up."""
+    vectors = scratch.damping
+    v, r, p = vectors[3 * n : 6 * n], vectors[6 * n : 9 * n], vectors[9 * n : 12 * n]
+    q, inverse, mobility = vectors[12 * n : 15 * n], vectors[15 * n : 18 * n], vectors[18 * n : 19 * n]
+    rho = 0.0
+    for k in range(corners):
+        i = scratch.corner[k]
+        for e in range(i, i + 3 * n, n):
+            inverse[e] = 1.0 / inverse[e] if mobility[i] > 0.0 else 0.0
+            p[e] = inverse[e] * r[e]
+            rho += r[e] * p[e]
+    target = FORCING * FORCING * rho
+    iteration = 0
+    while rho > target and rho > 0.0 and iteration < CONJUGATE:
+        _product(scratch, points, corners, n)
+        curvature = 0.0
+        for k in range(corners):
+            i = scratch.corner[k]
+            for e in range(i, i + 3 * n, n):
+                curvature += p[e] * q[e]
+        alpha = rho / curvature
+        before = rho
+        rho = 0.0
+        for k in range(corners):
+            i = scratch.corner[k]
+            for e in range(i, i + 3 * n, n):
+                v[e] += alpha * p[e]
+                r[e] -= alpha * q[e]
+                rho += inverse[e] * r[e] * r[e]
+        beta = rho / before
+        for k in range(corners):
+            i = scratch.corner[k]
+            for e in range(i, i + 3 * n, n):
+                p[e] = inverse[e] * r[e] + beta * p[e]
+        iteration += 1
+
+
+@inner
+def _sweep(model, parameters, scratch, points, n, backward):
+    """Solve the law of each point in turn, the forces of all others held, and bring the velocities up to date.
+
+    Returns
+    -------
+    float
+        What the bodies give [W].
+    """
+    vectors, contacts = scratch.damping, model.contact_body.size
+    (vx, vy, vz), mobility = _axes(vectors[3 * n :], n), vectors[18 * n : 19 * n]
+    contact, friction, slip_speed, power = -1, 0.0, 1.0, 0.0
+    velocity, spin = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for k in range(points):
+        m = points - 1 - k if backward else k
+        if int(scratch.active_contact[m]) != contact:
+            contact = int(scratch.active_contact[m])
+            friction, slip_speed = _friction(model, parameters, contact)
+            velocity, spin = motion_of(scratch, _of_point(model, contact)[1])
+        a, b, c, wa, wb, wc = _corners(scratch, m)
+        ka, kb, kc = wa * mobility[a], wb * mobility[b], wc * mobility[c]
+        w = wa * ka + wb * kb + wc * kc
+        old = (scratch.active_fx[m], scratch.active_fy[m], scratch.active_fz[m])
+        own, taken = moving_point(velocity, spin, _arm(scratch, m)), _mean(vx, vy, vz, a, b, c, wa, wb, wc)
+        # the velocity without the force of the point, that with it is w times the force less
+        u = (own[0] - taken[0] + w * old[0], own[1] - taken[1] + w * old[1], own[2] - taken[2] + w * old[2])
+        viscous, elastic = scratch.active_normal[m], scratch.active_tangential[m]
+        f = viscous / (1.0 + w * viscous)
+        force = (f * u[0], f * u[1], f * u[2])
+        if contact < contacts:
+            g = (scratch.active_x[m], scratch.active_y[m], scratch.active_z[m])
+            square = dot(g, g)
+            rate = dot(g, u)
+            size = max(-elastic, viscous * rate / (1.0 + w * viscous * square))
+            force = (size * g[0], size * g[1], size * g[2])
+            full, along = friction * (elastic + size), rate / square
+            t = (u[0] - along * g[0], u[1] - along * g[1], u[2] - along * g[2])
+            speed = math.sqrt(dot(t, t))
+            if full > 0.0 and speed > 0.0:
+                s = _sliding(speed, w * full, slip_speed)
+                f = full * s / (math.sqrt(s * s + slip_speed * slip_speed) * speed)
+                force = (force[0] + f * t[0], force[1] + f * t[1], force[2] + f * t[2])
+        scratch.active_fx[m], scratch.active_fy[m], scratch.active_fz[m] = force
+        scatter(vx, vy, vz, a, b, c, ka, kb, kc, (force[0] - old[0], force[1] - old[1], force[2] - old[2]))
+        power += dot(force, own)
+    return power
+
+
+@inner
+def _sweeps(model, parameters, scratch, points, corners, n):
+    """Sweep over all points to and fro, beginning without force; the result as for `_sweep`."""
+    vectors, power = scratch.damping, 0.0
+    for k in range(corners):
+        i = scratch.corner[k]
+        for e in range(i, i + 3 * n, n):
+            vectors[3 * n + e], vectors[6 * n + e] = vectors[e], 0.0
+    for m in range(points):
+        scratch.active_fx[m], scratch.active_fy[m], scratch.active_fz[m] = 0.0, 0.0, 0.0
+    for sweep in range(SWEEPS):
+        power = _sweep(model, parameters, scratch, points, n, sweep % 2 == 1)
+    return power
+
+
+@inner
+def _share(scratch, corners, n, power):
+    """Share of the forces, 1 or a little less where the residual needs it, with which they give no energy.
+
+    Together they take f·u' = f·u* - |v' - v*|² of power, the norm that of the masses: a share s of them s f·u* less s²
+    times the square.
+    """
+    vectors = scratch.damping
+    s, v, r = vectors[: 3 * n], vectors[3 * n : 6 * n], vectors[6 * n : 9 * n]
+    mobility, mass = vectors[18 * n : 19 * n], vectors[19 * n :]
+    taken, square = power, 0.0
+    for k in range(corners):
+        i = scratch.corner[k]
+        for e in range(i, i + 3 * n, n):
+            force = r[e] + mass[i] * (v[e] - s[e])
+            moved = mobility[i] * force
+            taken -= force * (s[e] + moved)
+            square += force * moved
+    return max(0.0, 1.0 + taken / square) if taken < 0.0 else 1.0
 
 
 @inner
@@ -101,75 +414,34 @@ def damp_contacts(model, parameters, state, scratch, elapsed, dt):
     """Add the dampers and the friction of all noted points to the forces on the tissue and on the bodies.
 
     The points are those that `contact.note` noted, with springs only, at ``elapsed`` [s] after the last communication
-    point. Their forces take the place of their directions, for `count_damping`.
+    point.
     """
-    contacts = model.contact_body.size
-    x, y, z, vx, vy, vz = state.x, state.y, state.z, state.vx, state.vy, state.vz
-    rest, mobility, free = (model.rest_x, model.rest_y, model.rest_z), model.node_mobility, model.node_free
-    fx, fy, fz, out = scratch.fx, scratch.fy, scratch.fz, scratch.contact
-    damping, rub = scratch.vertex_damping, scratch.vertex_friction
-    gravity = (model.gravity[0], model.gravity[1], model.gravity[2])
-    points = _lump(model, parameters, scratch)
-    contact, density, support, friction, slip_speed = -1, 1.0, 0.0, 0.0, 1.0
-    p, velocity, spin = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    points, n = min(int(scratch.active[0]), scratch.active_a.size), state.x.size
+    if points == 0:
+        return
+    corners = _start(model, parameters, state, scratch, points, dt)
+    _rub(model, parameters, scratch, points, corners, n)
+    left, moved, power = _residual(model, parameters, scratch, points, corners, n)
+    iteration = 0
+    while left > RESIDUAL * RESIDUAL * moved and iteration < NEWTON:
+        _newton(scratch, points, corners, n)
+        left, moved, power = _residual(model, parameters, scratch, points, corners, n)
+        iteration += 1
+    if left > RESIDUAL * RESIDUAL * moved:
+        power = _sweeps(model, parameters, scratch, points, corners, n)
+    share = _share(scratch, corners, n, power)
+    contact, row, p = -1, 0, (0.0, 0.0, 0.0)
     for m in range(points):
         if int(scratch.active_contact[m]) != contact:
             contact = int(scratch.active_contact[m])
-            tissue, body = _of_point(model, contact)
-            density = parameters[TISSUE_PARAMETERS * tissue + AREAL_DENSITY]
-            support = parameters[TISSUE_PARAMETERS * tissue + SUPPORT_STIFFNESS] / density
-            friction, slip_speed = 0.0, 1.0
-            if contact < contacts:
-                law = contact_law(model, parameters, contact)
-                friction, slip_speed = law[4], law[5]
-            velocity, spin = motion_of(scratch, body)
-        viscous, elastic = scratch.active_normal[m], scratch.active_tangential[m]
-        g = (scratch.active_x[m], scratch.active_y[m], scratch.active_z[m])
-        scratch.active_x[m], scratch.active_y[m], scratch.active_z[m] = 0.0, 0.0, 0.0
-        if viscous == 0.0 and friction == 0.0:
-            continue
-        a, b, c = scratch.active_a[m], scratch.active_b[m], scratch.active_c[m]
-        wa, wb, wc = scratch.active_wa[m], scratch.active_wb[m], scratch.active_wc[m]
-        arm = (scratch.active_arm_x[m], scratch.active_arm_y[m], scratch.active_arm_z[m])
-        own = moving_point(velocity, spin, arm)
-        ua = _against(a, own, x, y, z, vx, vy, vz, fx, fy, fz, rest, mobility, free, dt, density, support, gravity)
-        ub = _against(b, own, x, y, z, vx, vy, vz, fx, fy, fz, rest, mobility, free, dt, density, support, gravity)
-        uc = _against(c, own, x, y, z, vx, vy, vz, fx, fy, fz, rest, mobility, free, dt, density, support, gravity)
-        ma, mb, mc = dt * mobility[a] / density, dt * mobility[b] / density, dt * mobility[c] / density
-        ka, kb, kc = wa / (1.0 + ma * damping[a]), wb / (1.0 + mb * damping[b]), wc / (1.0 + mc * damping[c])
-        ux = ka * ua[0] + kb * ub[0] + kc * uc[0]
-        uy = ka * ua[1] + kb * ub[1] + kc * uc[1]
-        uz = ka * ua[2] + kb * ub[2] + kc * uc[2]
-        if contact >= contacts:  # a hold damps in every direction
-            force = (viscous * ux, viscous * uy, viscous * uz)
-        else:
-            size = max(-elastic, viscous * (g[0] * ux + g[1] * uy + g[2] * uz))
-            force = (size * g[0], size * g[1], size * g[2])
-            full = friction * (elastic + size)
-            if full > 0.0:
-                square = dot(g, g)
-                ta = _left(ua[0], ua[1], ua[2], g, square, ma * rub[a], slip_speed)
-                tb = _left(ub[0], ub[1], ub[2], g, square, mb * rub[b], slip_speed)
-                tc = _left(uc[0], uc[1], uc[2], g, square, mc * rub[c], slip_speed)
-                tx = wa * ta[0] + wb * tb[0] + wc * tc[0]
-                ty = wa * ta[1] + wb * tb[1] + wc * tc[1]
-                tz = wa * ta[2] + wb * tb[2] + wc * tc[2]
-                f = full / math.sqrt(tx * tx + ty * ty + tz * tz + slip_speed * slip_speed)
-                force = (force[0] + f * tx, force[1] + f * ty, force[2] + f * tz)
-        scratch.active_x[m], scratch.active_y[m], scratch.active_z[m] = force
-    contact, row = -1, 0
-    for m in range(points):
-        if int(scratch.active_contact[m]) != contact:
-            contact = int(scratch.active_contact[m])
-            _, body = _of_point(model, contact)
+            body = _of_point(model, contact)[1]
             _, p = pose_of(state, scratch, body, elapsed)
             row = GATHER * body
-        a, b, c = scratch.active_a[m], scratch.active_b[m], scratch.active_c[m]
-        wa, wb, wc = scratch.active_wa[m], scratch.active_wb[m], scratch.active_wc[m]
-        arm = (scratch.active_arm_x[m], scratch.active_arm_y[m], scratch.active_arm_z[m])
-        force = (scratch.active_x[m], scratch.active_y[m], scratch.active_z[m])
-        scatter(fx, fy, fz, a, b, c, wa, wb, wc, force)
-        gather(out, row, p, arm, (-force[0], -force[1], -force[2]), 0.0, 0.0)
+        a, b, c, wa, wb, wc = _corners(scratch, m)
+        force = (share * scratch.active_fx[m], share * scratch.active_fy[m], share * scratch.active_fz[m])
+        scratch.active_fx[m], scratch.active_fy[m], scratch.active_fz[m] = force
+        scatter(scratch.fx, scratch.fy, scratch.fz, a, b, c, wa, wb, wc, force)
+        gather(scratch.contact, row, p, _arm(scratch, m), (-force[0], -force[1], -force[2]), 0.0, 0.0)
 
 
 @inner
@@ -177,27 +449,15 @@ def count_damping(model, parameters, state, scratch, dt):
     """Count work and dissipation of what `damp_contacts` added, at the velocities that the substep ends with."""
     contact = -1
     velocity, spin = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    vx, vy, vz = state.vx, state.vy, state.vz
     work, dissipated = 0.0, 0.0
     for m in range(min(int(scratch.active[0]), scratch.active_a.size)):
         if int(scratch.active_contact[m]) != contact:
             contact = int(scratch.active_contact[m])
-            _, body = _of_point(model, contact)
-            velocity, spin = motion_of(scratch, body)
-        force = (scratch.active_x[m], scratch.active_y[m], scratch.active_z[m])
-        a, b, c = scratch.active_a[m], scratch.active_b[m], scratch.active_c[m]
-        wa, wb, wc = scratch.active_wa[m], scratch.active_wb[m], scratch.active_wc[m]
-        arm = (scratch.active_arm_x[m], scratch.active_arm_y[m], scratch.active_arm_z[m])
-        given = dot(force, moving_point(velocity, spin, arm))
-        taken = dot(
-            force,
-            (
-                wa * vx[a] + wb * vx[b] + wc * vx[c],
-                wa * vy[a] + wb * vy[b] + wc * vy[c],
-                wa * vz[a] + wb * vz[b] + wc * vz[c],
-            ),
-        )
+            velocity, spin = motion_of(scratch, _of_point(model, contact)[1])
+        a, b, c, wa, wb, wc = _corners(scratch, m)
+        force = (scratch.active_fx[m], scratch.active_fy[m], scratch.active_fz[m])
+        given = dot(force, moving_point(velocity, spin, _arm(scratch, m)))
         work += given
-        dissipated += given - taken
+        dissipated += given - dot(force, _mean(state.vx, state.vy, state.vz, a, b, c, wa, wb, wc))
     state.work[0] += dt * work
     state.dissipated[0] += dt * dissipated

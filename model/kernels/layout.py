@@ -209,6 +209,7 @@ class Scratch(NamedTuple):
     active_a: Index  # shape [E], corners of the tissue triangle
     active_b: Index  # shape [E]
     active_c: Index  # shape [E]
+    corner: Index  # shape [V where symplectic Euler meets a contact, else 0], corners of all pressed points, once each
     detail: Real  # shape [2], figures for the message of a status
     expansion: Real  # shape [256], exact arithmetic
     fx: Real  # [N], shape [V], force on a vertex
@@ -219,8 +220,7 @@ class Scratch(NamedTuple):
     local_z: Real  # [m], shape [V]
     loss: Real  # [J], shape [V], dissipated at a vertex within the step
     vertex_share: Real  # [1], shape [V where triangles are looked for, else 0], share of the force that a vertex takes
-    vertex_damping: Real  # [N·s/m], shape [V where symplectic Euler meets a contact, else 0], lumped dampers
-    vertex_friction: Real  # [N], shape as vertex_damping, lumped full friction
+    damping: Real  # shape [20 V where symplectic Euler meets a contact, else 0], vectors of `damping`
     touch_length: Real  # [m], shape [M], length of the intersection curve within the triangle
     touch_pairs: Real  # [1], shape [M]
     part_length: Real  # [m], shape [P], length of the intersection curve of a part
@@ -248,6 +248,14 @@ class Scratch(NamedTuple):
     active_z: Real  # [1], shape [E]
     active_normal: Real  # [kg or N·s/m], shape [E], see `contact.note`
     active_tangential: Real  # [kg or N], shape [E]
+    active_fx: Real  # [N], shape [E], force of its damper and its friction
+    active_fy: Real  # [N], shape [E]
+    active_fz: Real  # [N], shape [E]
+    active_tx: Real  # [1], shape [E], its velocity of sliding over the root of the friction law
+    active_ty: Real  # [1], shape [E]
+    active_tz: Real  # [1], shape [E]
+    active_axial: Real  # [N·s/m], shape [E], slope of its force along its direction, less that across it
+    active_across: Real  # [N·s/m], shape [E], slope of its force across its direction
     active_arm_x: Real  # [m], shape [E], from the origin of the body frame
     active_arm_y: Real  # [m], shape [E]
     active_arm_z: Real  # [m], shape [E]
