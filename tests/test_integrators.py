@@ -332,14 +332,8 @@ def slid(scheme: str, solver: str = "") -> dict[str, np.ndarray]:
     return {name: outputs[:, index(assembly, name)] for name in names}
 
 
-# Within 5 % everywhere, but for symplectic Euler at rest: it gives vertices at the rim of the contact the slip of their
-# own friction alone, and the mean over a point's corners makes too much of it. 20 % of the force at 6 substeps, 4 % at
-# 100, 2 % at 400.
-@pytest.mark.parametrize(
-    ("scheme", "at_rest"),
-    [("explicit_euler", 0.05), ("symplectic_euler", 0.3), ("implicit_euler", 0.05), ("runge_kutta_4", 0.05)],
-)
-def test_friction_slides_and_holds_with_automatic_substeps(scheme, at_rest):
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_friction_slides_and_holds_with_automatic_substeps(scheme):
     """Against Runge–Kutta at 400 substeps; 60 ms after the slide more than half of the force is left."""
     exact, found = slid("runge_kutta_4", FIXED.format(n=400)), slid(scheme, "max_substeps = 2000")
     size = abs(exact["instrument.force[1]"]).max()
@@ -347,8 +341,12 @@ def test_friction_slides_and_holds_with_automatic_substeps(scheme, at_rest):
     for name in ("instrument.force[1]", "instrument.meanForce[1]"):
         off = abs(found[name] - exact[name])[[50, 60, 120]] / size
         print(scheme, name, off)
+        # At rest implicit Euler is off by 1.4 % of the peak, symplectic Euler by 0.3 %: a coarse substep creeps more.
         assert off[:2].max() < 0.05
-        assert off[2] < at_rest
+        assert off[2] < (0.05 if scheme == "implicit_euler" else 0.01)
+    # What sticks creeps evenly: the law at the velocity that is left is what acted within the step.
+    force, mean = found["instrument.force[1]"][-1], found["instrument.meanForce[1]"][-1]
+    assert force == pytest.approx(mean, rel=0.01)
     for name in ("energy.work", "energy.dissipated"):
         print(scheme, name, found[name][-1] / exact[name][-1])
         assert found[name][-1] == pytest.approx(exact[name][-1], rel=0.05)
