@@ -332,7 +332,7 @@ def _scratch(scene: Scene, model: Model) -> Scratch:
         "expansion": 256,
         "vertex_share": vertices if capacity else 0,
         "corner": vertices if symplectic and scene.contact else 0,
-        "damping": 20 * vertices if symplectic and scene.contact else 0,
+        "damping": 23 * vertices if symplectic and scene.contact else 0,
         "pose": slots.POSE * len(scene.instrument),
         "motion": 6 * bodies,
         "contact": slots.GATHER * bodies,

@@ -7,10 +7,11 @@ that the substep ends with (but for the dampers of springs, which come after):
     v' = v* + K sum of w f(u')        u' = v_body - sum of w v'        K = dt / (m (1 + dt c/rho))
 
 v* is what all other forces give. Newton's method solves for v', each step by conjugate gradients with the row sums of
-the slopes as preconditioner. Where a point comes to stick friction is far from linear, so that the iteration starts
-from where the friction of each vertex alone, one scalar equation, would bring it. Very stiff points that push the same
-vertices in very different directions may still lead it astray. Projected Gauss-Seidel over the points (Moreau, Jean)
-then takes its place: slow, but without friction each visit lowers a convex function, whatever the constants.
+the slopes, a matrix a vertex, as preconditioner. Where a point comes to stick friction is far from linear, so that the
+iteration starts from where the friction of each vertex alone, one scalar equation, would bring it. Very stiff points
+that push the same vertices in very different directions may still lead it astray. Projected Gauss-Seidel over the
+points (Moreau, Jean) then takes its place: slow, but without friction each visit lowers a convex function, whatever the
+constants.
 """
 
 import math
@@ -32,10 +33,11 @@ SLIDING = 12  # iterations for the velocity of sliding; it converges from below,
 # Newton ends when the residual has fallen to this share of what the forces do to the velocities, in the norm of the
 # masses. A force in a steady stick is then right to some thousandths.
 RESIDUAL = 1e-3
-NEWTON = 8  # steps at most; one or two do but where much comes to stick at once
+NEWTON = 20  # steps at most; one or two do, but where many points come to stick or let go at once
 FORCING = 3e-3  # of a Newton step's residual, to which its linear system is solved: one step does without friction
 CONJUGATE = 60  # iterations of one solve at most
-SWEEPS = 40  # of Gauss-Seidel, where Newton does not converge
+SWEEPS = 200  # of Gauss-Seidel at most, where Newton does not converge
+SWEPT = 1e-10  # of what the first sweep changed: a result that depends on the order of the points by no more than that
 
 
 @pointwise
@@ -109,7 +111,7 @@ def _start(model, parameters, state, scratch, points, dt):
     """List the corners of all points, with their velocities from all other forces and their masses; their number."""
     n, vectors = state.x.size, scratch.damping
     (sx, sy, sz), (vx, vy, vz) = _axes(vectors, n), _axes(vectors[3 * n :], n)
-    mobility, mass = vectors[18 * n : 19 * n], vectors[19 * n :]
+    mobility, mass = vectors[21 * n : 22 * n], vectors[22 * n :]
     for m in range(points):
         for v in (scratch.active_a[m], scratch.active_b[m], scratch.active_c[m]):
             mass[v] = -1.0
@@ -145,7 +147,7 @@ def _start(model, parameters, state, scratch, points, dt):
 def _rub(model, parameters, scratch, points, corners, n):
     """Bring every corner to where its shares of the friction would, across the mean direction of its points."""
     vectors = scratch.damping
-    (vx, vy, vz), mobility = _axes(vectors[3 * n :], n), vectors[18 * n : 19 * n]
+    (vx, vy, vz), mobility = _axes(vectors[3 * n :], n), vectors[21 * n : 22 * n]
     (gx, gy, gz), (bx, by, bz) = _axes(vectors[6 * n :], n), _axes(vectors[9 * n :], n)
     full, slip, _ = _axes(vectors[12 * n :], n)
     for k in range(corners):
@@ -205,15 +207,17 @@ def _residual(model, parameters, scratch, points, corners, n):
     """
     vectors = scratch.damping
     (sx, sy, sz), (vx, vy, vz) = _axes(vectors, n), _axes(vectors[3 * n :], n)
-    (rx, ry, rz), (lx, ly, lz) = _axes(vectors[6 * n :], n), _axes(vectors[15 * n :], n)
-    mobility, mass = vectors[18 * n : 19 * n], vectors[19 * n :]
+    rx, ry, rz = _axes(vectors[6 * n :], n)
+    (xx, yy, zz), (xy, xz, yz) = _axes(vectors[15 * n :], n), _axes(vectors[18 * n :], n)
+    mobility, mass = vectors[21 * n : 22 * n], vectors[22 * n :]
     left, moved, power = 0.0, 0.0, 0.0
     for k in range(corners):
         v = scratch.corner[k]
         m = mass[v]
         dx, dy, dz = sx[v] - vx[v], sy[v] - vy[v], sz[v] - vz[v]
         rx[v], ry[v], rz[v] = m * dx, m * dy, m * dz
-        lx[v], ly[v], lz[v] = m, m, m
+        xx[v], yy[v], zz[v] = m, m, m
+        xy[v], xz[v], yz[v] = 0.0, 0.0, 0.0
         moved += m * (dx * dx + dy * dy + dz * dz)
     contacts = model.contact_body.size
     contact, friction, slip_speed = -1, 0.0, 1.0
@@ -238,12 +242,12 @@ def _residual(model, parameters, scratch, points, corners, n):
             force = (size * g[0], size * g[1], size * g[2])
             full = friction * (elastic + size)
             if full > 0.0:
-                square = dot(g, g)
-                along = rate / square
+                norm = dot(g, g)
+                along = rate / norm
                 t = (u[0] - along * g[0], u[1] - along * g[1], u[2] - along * g[2])
                 root = 1.0 / math.sqrt(dot(t, t) + slip_speed * slip_speed)
                 across = full * root
-                axial -= across / square
+                axial -= across / norm
                 force = (force[0] + across * t[0], force[1] + across * t[1], force[2] + across * t[2])
                 t = (root * t[0], root * t[1], root * t[2])
         scratch.active_fx[m], scratch.active_fy[m], scratch.active_fz[m] = force
@@ -256,7 +260,13 @@ def _residual(model, parameters, scratch, points, corners, n):
             across * (1.0 - t[1] * t[1]) + axial * g[1] * g[1],
             across * (1.0 - t[2] * t[2]) + axial * g[2] * g[2],
         )
-        scatter(lx, ly, lz, a, b, c, wa, wb, wc, slope)
+        mixed = (
+            axial * g[0] * g[1] - across * t[0] * t[1],
+            axial * g[0] * g[2] - across * t[0] * t[2],
+            axial * g[1] * g[2] - across * t[1] * t[2],
+        )
+        scatter(xx, yy, zz, a, b, c, wa, wb, wc, slope)
+        scatter(xy, xz, yz, a, b, c, wa, wb, wc, mixed)
     for k in range(corners):
         v = scratch.corner[k]
         left += mobility[v] * (rx[v] * rx[v] + ry[v] * ry[v] + rz[v] * rz[v])
@@ -267,7 +277,7 @@ def _residual(model, parameters, scratch, points, corners, n):
 def _product(scratch, points, corners, n):
     """Image of the direction of the search under masses and slopes [N]."""
     vectors = scratch.damping
-    (px, py, pz), (qx, qy, qz), mass = _axes(vectors[9 * n :], n), _axes(vectors[12 * n :], n), vectors[19 * n :]
+    (px, py, pz), (qx, qy, qz), mass = _axes(vectors[9 * n :], n), _axes(vectors[12 * n :], n), vectors[22 * n :]
     for k in range(corners):
         v = scratch.corner[k]
         qx[v], qy[v], qz[v] = mass[v] * px[v], mass[v] * py[v], mass[v] * pz[v]
@@ -287,21 +297,54 @@ def _product(scratch, points, corners, n):
 
 
 @inner
+def _invert(scratch, corners, n):
+    """Invert the matrices of the corners, masses and sums of slopes; those of fixed vertices become 0."""
+    vectors = scratch.damping
+    (xx, yy, zz), (xy, xz, yz) = _axes(vectors[15 * n :], n), _axes(vectors[18 * n :], n)
+    mobility = vectors[21 * n : 22 * n]
+    for k in range(corners):
+        v = scratch.corner[k]
+        a, b, c, d, e, f = xx[v], yy[v], zz[v], xy[v], xz[v], yz[v]
+        ca, cd, ce = b * c - f * f, e * f - c * d, d * f - b * e
+        scale = 1.0 / (a * ca + d * cd + e * ce) if mobility[v] > 0.0 else 0.0
+        xx[v], yy[v], zz[v] = scale * ca, scale * (a * c - e * e), scale * (a * b - d * d)
+        xy[v], xz[v], yz[v] = scale * cd, scale * ce, scale * (d * e - a * f)
+
+
+@inner
+def _precondition(scratch, corners, n):
+    """Multiply the residual by the inverse matrices of the corners, in place of the image; the product with it."""
+    vectors, rho = scratch.damping, 0.0
+    (rx, ry, rz), (qx, qy, qz) = _axes(vectors[6 * n :], n), _axes(vectors[12 * n :], n)
+    (xx, yy, zz), (xy, xz, yz) = _axes(vectors[15 * n :], n), _axes(vectors[18 * n :], n)
+    for k in range(corners):
+        v = scratch.corner[k]
+        qx[v] = xx[v] * rx[v] + xy[v] * ry[v] + xz[v] * rz[v]
+        qy[v] = xy[v] * rx[v] + yy[v] * ry[v] + yz[v] * rz[v]
+        qz[v] = xz[v] * rx[v] + yz[v] * ry[v] + zz[v] * rz[v]
+        rho += rx[v] * qx[v] + ry[v] * qy[v] + rz[v] * qz[v]
+    return rho
+
+
+@inner
 def _newton(scratch, points, corners, n):
     """Add one Newton step to the velocities now; their residual is used up."""
     vectors = scratch.damping
     v, r, p = vectors[3 * n : 6 * n], vectors[6 * n : 9 * n], vectors[9 * n : 12 * n]
-    q, inverse, mobility = vectors[12 * n : 15 * n], vectors[15 * n : 18 * n], vectors[18 * n : 19 * n]
-    rho = 0.0
+    q = vectors[12 * n : 15 * n]
+    _invert(scratch, corners, n)
+    rho, beta = _precondition(scratch, corners, n), 0.0
+    target = FORCING * FORCING * rho
     for k in range(corners):
         i = scratch.corner[k]
         for e in range(i, i + 3 * n, n):
-            inverse[e] = 1.0 / inverse[e] if mobility[i] > 0.0 else 0.0
-            p[e] = inverse[e] * r[e]
-            rho += r[e] * p[e]
-    target = FORCING * FORCING * rho
+            p[e] = 0.0
     iteration = 0
     while rho > target and rho > 0.0 and iteration < CONJUGATE:
+        for k in range(corners):
+            i = scratch.corner[k]
+            for e in range(i, i + 3 * n, n):
+                p[e] = q[e] + beta * p[e]
         _product(scratch, points, corners, n)
         curvature = 0.0
         for k in range(corners):
@@ -309,19 +352,14 @@ def _newton(scratch, points, corners, n):
             for e in range(i, i + 3 * n, n):
                 curvature += p[e] * q[e]
         alpha = rho / curvature
-        before = rho
-        rho = 0.0
         for k in range(corners):
             i = scratch.corner[k]
             for e in range(i, i + 3 * n, n):
                 v[e] += alpha * p[e]
                 r[e] -= alpha * q[e]
-                rho += inverse[e] * r[e] * r[e]
+        before = rho
+        rho = _precondition(scratch, corners, n)
         beta = rho / before
-        for k in range(corners):
-            i = scratch.corner[k]
-            for e in range(i, i + 3 * n, n):
-                p[e] = inverse[e] * r[e] + beta * p[e]
         iteration += 1
 
 
@@ -331,12 +369,12 @@ def _sweep(model, parameters, scratch, points, n, backward):
 
     Returns
     -------
-    float
-        What the bodies give [W].
+    change, power : float
+        Square of the norm of what has changed, and what the bodies give [W].
     """
     vectors, contacts = scratch.damping, model.contact_body.size
-    (vx, vy, vz), mobility = _axes(vectors[3 * n :], n), vectors[18 * n : 19 * n]
-    contact, friction, slip_speed, power = -1, 0.0, 1.0, 0.0
+    (vx, vy, vz), mobility = _axes(vectors[3 * n :], n), vectors[21 * n : 22 * n]
+    contact, friction, slip_speed, change, power = -1, 0.0, 1.0, 0.0, 0.0
     velocity, spin = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for k in range(points):
         m = points - 1 - k if backward else k
@@ -368,23 +406,28 @@ def _sweep(model, parameters, scratch, points, n, backward):
                 f = full * s / (math.sqrt(s * s + slip_speed * slip_speed) * speed)
                 force = (force[0] + f * t[0], force[1] + f * t[1], force[2] + f * t[2])
         scratch.active_fx[m], scratch.active_fy[m], scratch.active_fz[m] = force
-        scatter(vx, vy, vz, a, b, c, ka, kb, kc, (force[0] - old[0], force[1] - old[1], force[2] - old[2]))
+        more = (force[0] - old[0], force[1] - old[1], force[2] - old[2])
+        scatter(vx, vy, vz, a, b, c, ka, kb, kc, more)
+        change += w * dot(more, more)
         power += dot(force, own)
-    return power
+    return change, power
 
 
 @inner
 def _sweeps(model, parameters, scratch, points, corners, n):
-    """Sweep over all points to and fro, beginning without force; the result as for `_sweep`."""
-    vectors, power = scratch.damping, 0.0
+    """Sweep over all points to and fro, beginning without force; what the bodies give [W]."""
+    vectors = scratch.damping
     for k in range(corners):
         i = scratch.corner[k]
         for e in range(i, i + 3 * n, n):
             vectors[3 * n + e], vectors[6 * n + e] = vectors[e], 0.0
     for m in range(points):
         scratch.active_fx[m], scratch.active_fy[m], scratch.active_fz[m] = 0.0, 0.0, 0.0
-    for sweep in range(SWEEPS):
-        power = _sweep(model, parameters, scratch, points, n, sweep % 2 == 1)
+    first, power = _sweep(model, parameters, scratch, points, n, False)
+    change, sweeps = first, 1
+    while change > SWEPT * SWEPT * first and sweeps < SWEEPS:
+        change, power = _sweep(model, parameters, scratch, points, n, sweeps % 2 == 1)
+        sweeps += 1
     return power
 
 
@@ -397,7 +440,7 @@ def _share(scratch, corners, n, power):
     """
     vectors = scratch.damping
     s, v, r = vectors[: 3 * n], vectors[3 * n : 6 * n], vectors[6 * n : 9 * n]
-    mobility, mass = vectors[18 * n : 19 * n], vectors[19 * n :]
+    mobility, mass = vectors[21 * n : 22 * n], vectors[22 * n :]
     taken, square = power, 0.0
     for k in range(corners):
         i = scratch.corner[k]

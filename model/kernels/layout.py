@@ -220,7 +220,7 @@ class Scratch(NamedTuple):
     local_z: Real  # [m], shape [V]
     loss: Real  # [J], shape [V], dissipated at a vertex within the step
     vertex_share: Real  # [1], shape [V where triangles are looked for, else 0], share of the force that a vertex takes
-    damping: Real  # shape [20 V where symplectic Euler meets a contact, else 0], vectors of `damping`
+    damping: Real  # shape [23 V where symplectic Euler meets a contact, else 0], vectors of `damping`
     touch_length: Real  # [m], shape [M], length of the intersection curve within the triangle
     touch_pairs: Real  # [1], shape [M]
     part_length: Real  # [m], shape [P], length of the intersection curve of a part
