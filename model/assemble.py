@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_contact import geometry
+from tissue_contact import fields, geometry
 from tissue_contact.assembly import Assembly, start_values
 from tissue_contact.bodies import Body, body_of, polytopes, spacing_of
 from tissue_contact.errors import InputError
@@ -38,11 +38,13 @@ def assemble(scene: Scene) -> Assembly:
     Raises
     ------
     InputError
-        A surface that cannot be used, a tissue that nothing holds in place, a scheme that is never stable.
+        A surface that cannot be used, a tissue that nothing holds in place, a scheme that is never stable, points
+        nearer to each other than the mesh allows.
     """
     _check_scheme(scene)
     bodies = [body_of(body, scene) for body in scene.bodies]
     sheets = [sheet_of(tissue, scene, _spacing(scene, tissue.name, bodies)) for tissue in scene.tissue]
+    _check_spacing(scene, sheets, bodies)
     sizes, variables = Sizes(scene), variable_table(scene)
     model = _model(scene, sheets, bodies)
     packed_model, packed_state = pack(model), pack(_state(scene, model, sizes))
@@ -75,6 +77,23 @@ def _check_scheme(scene: Scene) -> None:
                 "explicit_euler is stable only where every motion is damped",
                 f"neither drag nor support_damping of tissue {tissue.name}",
                 "Give one of them, fix solver.substeps, or take symplectic_euler",
+            )
+
+
+def _check_spacing(scene: Scene, sheets: list[Sheet], bodies: list[Body]) -> None:
+    """Refuse a spacing that the points of a mesh cannot have."""
+    names = [thing.name for thing in (*scene.tissue, *scene.bodies)]
+    surfaces = [sheet.surface for sheet in sheets] + [body.surface for body in bodies]
+    longest = {name: fields.longest_edges(s).max() for name, s in zip(names, surfaces, strict=True)}
+    for contact in scene.contact:
+        spacing, edge = contact.quadrature_spacing, longest[contact.between[0]]
+        if spacing is not None and spacing * fields.CUTS_MAX < edge * (1.0 - 1e-9):  # a mesh rounds its edges
+            raise InputError(
+                f"{scene.place}, contact[{contact.name}].quadrature_spacing",
+                f"points at which depth is read cut an edge of a triangle in {fields.CUTS_MAX} at most",
+                f"{spacing:g} m for {contact.between[0]}, which has an edge of {edge:.3g} m",
+                # a little more, for the digits that are left out
+                f"Give {1.006 * edge / fields.CUTS_MAX:.3g} or more, or refine the mesh",
             )
 
 
@@ -299,7 +318,10 @@ def _state(scene: Scene, model: Model, sizes: Sizes) -> State:
         **dict.fromkeys(
             ("pairs", "rejected", "touches", "regions", "near_count", "touch_load", "deepest", "tissue_speed"), contacts
         ),
-        **dict.fromkeys(("since_detection", "dissipated", "work", "stored", "energy_start"), 1),
+        **dict.fromkeys(
+            ("since_detection", "dissipated", "work", "stored", "energy_start", "put_in", "gained", "found"), 1
+        ),
+        "crush": len(scene.tissue),
         **dict.fromkeys(("closed", "held", "held_area"), holds),
         "side": model.contact_side_start[-1],
         "near": model.contact_near_start[-1],

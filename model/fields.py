@@ -112,6 +112,12 @@ def sampled(surface: Surface, part: int) -> Field:
     return Field(GRID, spline_filter(phi.reshape(size), order=2, mode="mirror").ravel(), size, low, spacing)
 
 
+def longest_edges(surface: Surface) -> FloatArray:
+    """Of every triangle [m]."""
+    corners = surface.vertices[surface.triangles]
+    return np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
+
+
 def quadrature(surface: Surface, spacing: float) -> tuple[IntArray, FloatArray, FloatArray]:
     """Points of a surface, each standing for an equal share of its triangle: what is linear is integrated exactly.
 
@@ -133,9 +139,7 @@ def quadrature(surface: Surface, spacing: float) -> tuple[IntArray, FloatArray, 
     area : [m²], shape (n,)
 
     """
-    corners = surface.vertices[surface.triangles]
-    longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
-    cuts = np.clip(np.ceil(longest / spacing), 1, CUTS_MAX).astype(np.int64)
+    cuts = np.clip(np.ceil(longest_edges(surface) / spacing), 1, CUTS_MAX).astype(np.int64)
     patterns = [_centroids(n) for n in range(1, CUTS_MAX + 1)]
     weight = np.concatenate([patterns[n - 1] for n in cuts])
     start = np.concatenate([[0], np.cumsum(cuts**2)]).astype(np.int32)

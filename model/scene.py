@@ -339,7 +339,9 @@ class Contact(Settings):
         description="share of a pair in its region's force: by its length of contact, or each in full",
     )
     quadrature_spacing: float | None = quantity(
-        "m", 1e-6, 0.1, "distance_field reads depth about this far apart; without it a quarter of the thinnest part",
+        "m", 1e-6, 0.1,
+        "distance_field reads depth about this far apart, cutting no edge in more than 8; without it a quarter of the "
+        "thinnest part, or as near as that allows",
         None,
     )  # fmt: skip
 
@@ -397,8 +399,8 @@ class Solver(Settings):
         "1",
         0,
         1e6,
-        "energy from nowhere above which a step is undone, over what is stored and the work of the step",
-        10.0,
+        "energy from nowhere since the start above which a step is undone, over all that was put in",
+        1.0,
     )
 
     @model_validator(mode="after")

@@ -16,6 +16,7 @@ ENERGY_GAIN = 7
 STEP_SIZE = 8
 NONFINITE_OUTPUT = 9
 TOO_MANY_POINTS = 10
+ENERGY_SUM = 11
 
 
 class Status(NamedTuple):
@@ -79,7 +80,7 @@ STATUSES = (
         "energy_gain",
         True,
         "the step would have gained %g J from nowhere, and %g J are allowed: the state from before the step stays. "
-        "Take a smaller communication step, lower solver.safety or the stiffness, or raise solver.energy_gain",
+        "Take a smaller communication step, or lower solver.safety or the stiffness",
     ),
     Status(
         STEP_SIZE,
@@ -100,5 +101,14 @@ STATUSES = (
         False,
         "the contacts press more than %g points at once (%g): the state from before the step stays. Raise "
         "solver.max_pairs in the scene, or a contact's quadrature_spacing",
+    ),
+    Status(
+        ENERGY_SUM,
+        "energy_sum",
+        True,
+        "with this step %g J would have come from nowhere since the start, and %g J are allowed, solver.energy_gain "
+        "times what was put in, what one late detection may find and the swing of the scheme: the state from before "
+        "the step stays. Use response distance_field, damp the tissue more, lower solver.safety, or raise "
+        "solver.energy_gain",
     ),
 )

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from tissue_contact import geometry, shapes
 from tissue_contact.assemble import assemble
 from tissue_contact.errors import WorkError
-from tissue_contact.fields import quadrature
+from tissue_contact.fields import CUTS_MAX, longest_edges, quadrature
 from tissue_contact.files import publish
 from tissue_contact.fmu.build import build
 from tissue_contact.geometry import Surface
@@ -70,6 +70,8 @@ SHAPES = {
 FIELD = "stiffness_per_area = 2e8\ndamping_per_area = 4e4"
 WHOLE = 'response = "{response}"\nstiffness = 400.0\ndamping = 0.25'
 FINE = "\nquadrature_spacing = 0.0003"  # m, half of what the compared runs use without being told
+COARSE_FINE = "\nquadrature_spacing = 0.0004"  # m, as fine as the coarse sheet allows
+GAINS = "energy_gain = 1000.0"  # energy from nowhere is measured, not refused; but raw pairs run off
 OFTEN = "substeps = 160"  # twice what the finest mesh needs
 RESPONSES = {
     "distance_field": FIELD,
@@ -147,7 +149,7 @@ class Run:
         case = CASES[self.case]
         x, y, z = case.inputs(np.zeros(1))[0, :3].tolist()
         text = SCENE.format(
-            solver=self.solver,
+            solver=self.solver if self.contact == RAW else f"{self.solver}\n{GAINS}",
             triangles=self.triangles,
             shape=SHAPES[case.shape],
             position=[x, y, z],
@@ -162,7 +164,7 @@ def runs() -> dict[str, Run]:
     found = {}
     for name in CASES:
         for n in MESHES:
-            found[f"{name}, reference, {n}"] = Run(name, n, FIELD + FINE, OFTEN)
+            found[f"{name}, reference, {n}"] = Run(name, n, FIELD + (COARSE_FINE if n == COARSE else FINE), OFTEN)
         if name != "late":
             for response, contact in RESPONSES.items():
                 found[f"{name}, {response}"] = Run(name, COMPARED, contact)
@@ -318,8 +320,9 @@ start_position = {position}
 [[contact]]
 stiffness_per_area = 1e7
 damping_per_area = 100.0
-quadrature_spacing = 0.0005
+quadrature_spacing = {spacing}
 """
+SPACING = 5e-4  # m, or as fine as a mesh allows
 PLACES = 6
 AWAY = 0.05  # m, of the tip from the organ while that comes to rest
 CLEARANCE = 1e-4  # m, of the tip from the organ before it is pressed
@@ -383,16 +386,29 @@ def touch(surface: Surface, place: Place, radius: float) -> float:
     return float((height[under] + np.sqrt(radius**2 - aside[under])).max() - radius)
 
 
-def settled_force(source: str, place: Place, study: Study) -> float:
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """An organ's mesh: the lines of a scene that tell of it, and its surface."""
+
+    source: str
+    surface: Surface
+
+    def spacing(self) -> float:
+        """Of the points at which depth is read [m]."""
+        return max(SPACING, float(longest_edges(self.surface).max()) / CUTS_MAX)
+
+
+def settled_force(mesh: Mesh, place: Place, study: Study) -> float:
     """Force [N] along the normal on a ball pressed into an organ and held.
 
-    ``source`` tells the scene of the mesh. The organ comes to rest before it is touched, and depth counts from the
+    The organ comes to rest before it is touched, and depth counts from the
     first touch, each mesh from its own.
     """
     up, far = place.normal, place.point + AWAY * place.normal
     scene = ORGAN.format(
-        source=source, radius=study.radius, position=far.tolist(), preload=study.preload, support=study.support
-    )
+        source=mesh.source, radius=study.radius, position=far.tolist(), preload=study.preload, support=study.support,
+        spacing=mesh.spacing(),
+    )  # fmt: skip
     assembly = assemble(parse_scene(scene.encode(), Path()))
     slots = [v.slot for k in (1, 2, 3) for v in assembly.variables if v.name == f"instrument.force[{k}]"]
     instance = Instance(assembly)
@@ -414,11 +430,15 @@ def settled_force(source: str, place: Place, study: Study) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Organ:
-    """One organ in several meshes: what tells the scene of each, from coarse to fine, and the finest as a surface."""
+    """One organ in several meshes, from coarse to fine."""
 
     name: str
-    meshes: dict[str, str]
-    finest: Surface
+    meshes: dict[str, Mesh]
+
+    @property
+    def finest(self) -> Surface:
+        """Surface of the finest mesh."""
+        return list(self.meshes.values())[-1].surface
 
 
 def cut(surface: Surface) -> Surface:
@@ -443,23 +463,24 @@ def gallbladder(folder: Path, room: Path) -> Organ:
     Between them the coarse one with its triangles cut in 16, which is written into ``room``.
     """
     coarse, fine = (folder / f"lapgym_gallbladder_{which}.stl" for which in ("collision", "visual"))
-    between, rough = room / "cut.obj", cut(geometry.load(coarse, scale=0.001)[0])
+    surfaces = [geometry.load(path, scale=0.001)[0] for path in (coarse, fine)]
+    between, rough = room / "cut.obj", cut(surfaces[0])
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in rough.vertices.tolist()]
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in rough.triangles.tolist()]
     between.write_text("\n".join(lines) + "\n")
-    sources = {
-        "500": f"mesh = {json.dumps(str(coarse.resolve()))}\nscale = 0.001",
-        "500 cut": f"mesh = {json.dumps(str(between.resolve()))}",
-        "14700": f"mesh = {json.dumps(str(fine.resolve()))}\nscale = 0.001",
+    meshes = {
+        "500": Mesh(f"mesh = {json.dumps(str(coarse.resolve()))}\nscale = 0.001", surfaces[0]),
+        "500 cut": Mesh(f"mesh = {json.dumps(str(between.resolve()))}", rough),
+        "14700": Mesh(f"mesh = {json.dumps(str(fine.resolve()))}\nscale = 0.001", surfaces[1]),
     }
-    return Organ("gallbladder", sources, geometry.load(fine, scale=0.001)[0])
+    return Organ("gallbladder", meshes)
 
 
 def ellipsoid() -> Organ:
     """A generated organ of the size of a gallbladder."""
     line = 'shape = {{ kind = "ellipsoid", radii = [0.03, 0.016, 0.016], triangles = {n} }}'
-    meshes = {str(n): line.format(n=n) for n in (500, 8000)}
-    return Organ("ellipsoid", meshes, shapes.ellipsoid((0.03, 0.016, 0.016), 8000))
+    meshes = {str(n): Mesh(line.format(n=n), shapes.ellipsoid((0.03, 0.016, 0.016), n)) for n in (500, 8000)}
+    return Organ("ellipsoid", meshes)
 
 
 def refinement(

@@ -112,6 +112,27 @@ def test_stable_limit_of_a_chain():
         energy_after(unstable, 2000)
 
 
+@pytest.mark.parametrize(
+    ("stretch", "factor"), [(0.9, 1.0), (0.5, 1.0), (0.4, 1.5), (0.25, 3.0), (1e-3, 4.0), (0.0, 4.0)]
+)
+def test_a_crushed_spring_asks_for_shorter_substeps_from_then_on(stretch, factor):
+    """Across it the stiffness is k (l/L - 1), counted up to a fifth of its length, and not let go when it is."""
+    instance = settled(chain(8, K, M, SPACING, max_substeps=100_000, energy_gain=1e6), [])
+    h, substeps = 10.0, index(instance._assembly, "solver.substeps")
+    needed = h * np.sqrt(4 * K / M) / 2 / 0.95
+    saved = instance.copy_state()
+    instance.state.x[1] = stretch * SPACING
+    disturbed(instance).step(h)
+    assert instance.outputs[substeps] == np.ceil(needed * np.sqrt(factor))
+    assert instance.state.crush[0] == pytest.approx(factor)
+    instance.state.x[:], instance.state.vx[:] = instance.model.rest_x, 0.0
+    disturbed(instance).step(h)
+    assert instance.outputs[substeps] == np.ceil(needed * np.sqrt(instance.state.crush[0]))
+    instance.restore_state(saved)
+    instance.step(h)
+    assert instance.outputs[substeps] == np.ceil(needed)
+
+
 MESH = """
     [solver]
     {solver}

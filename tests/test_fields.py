@@ -1,15 +1,19 @@
 """Signed distance fields against closed forms, brute force and scipy; k-DOPs and quadrature against definitions."""
 
+import re
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scenes import assembled
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from tissue_contact import fields, geometry, shapes
+from tissue_contact.errors import InputError
 from tissue_contact.geometry import Surface
 from tissue_contact.kernels.collision import support
 from tissue_contact.kernels.field import FAR, GRID, NONE, body_distance, part_distance
@@ -453,6 +457,47 @@ def test_quadrature_is_exact_for_what_is_linear(seed, spacing):
         total = np.sum(area[own] * (weight[own] @ corners[t] @ slope + level))
         expected = whole[t] * (corners[t].mean(axis=0) @ slope + level)
         np.testing.assert_allclose(total, expected, rtol=1e-9, atol=1e-13)
+
+
+SPACED = """
+    [[tissue]]
+    shape = {{ kind = "patch", size = [0.02, 0.02], triangles = 100 }}
+    areal_density = 1.0
+    stiffness = 100.0
+    [[instrument]]
+    shape = {{ kind = "box", size = [0.004, 0.004, 0.01] }}
+    start_position = [0.0, 0.0, 0.01]
+    [[rigid]]
+    shape = {{ kind = "sphere", radius = 0.002, triangles = 100 }}
+    position = [0.0, 0.0, 0.05]
+    [[contact]]
+    name = "touch"
+    between = ["{first}", "{second}"]
+    stiffness_per_area = 1e6
+    {spacing}
+"""
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "surface"),
+    [
+        ("tissue", "instrument", shapes.patch((0.02, 0.02), 100)),
+        ("instrument", "rigid", shapes.box((0.004, 0.004, 0.01), 12)),
+    ],
+)
+def test_a_spacing_that_a_mesh_does_not_allow_is_refused(first, second, surface):
+    """An eighth of its longest edge was taken instead, without a word."""
+    text = partial(SPACED.format, first=first, second=second)
+    corners = surface.vertices[surface.triangles]
+    edge = np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2).max()
+    with pytest.raises(InputError) as caught:
+        assembled(text(spacing=f"quadrature_spacing = {0.99 * edge / 8}"))
+    for part in ("scene, contact[touch].quadrature_spacing", "in 8 at most", first, f"{edge:.3g} m", "refine the mesh"):
+        assert part in str(caught.value)
+    least = re.search(r"Give (\S+) or more", str(caught.value)).group(1)
+    assert float(least) == pytest.approx(edge / 8, rel=0.02)
+    assembled(text(spacing=f"quadrature_spacing = {least}"))
+    assembled(text(spacing=""))
 
 
 def test_quadrature_of_a_square_gets_better_with_its_spacing():

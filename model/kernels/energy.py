@@ -19,7 +19,6 @@ from tissue_contact.kernels.springs import spring_energy
 def tissue_energies(model, parameters, state):
     """Kinetic and elastic energy [J]; springs, area, volume, support and weight are the elastic part."""
     kinetic, elastic = 0.0, 0.0
-    g = model.gravity
     for n in range(model.tissue_rate.size):
         own = TISSUE_PARAMETERS * n
         density, support = parameters[own + AREAL_DENSITY], parameters[own + SUPPORT_STIFFNESS]
@@ -57,7 +56,18 @@ def tissue_energies(model, parameters, state):
             dx, dy, dz = state.x[v] - model.rest_x[v], state.y[v] - model.rest_y[v], state.z[v] - model.rest_z[v]
             square = state.vx[v] * state.vx[v] + state.vy[v] * state.vy[v] + state.vz[v] * state.vz[v]
             kinetic += 0.5 * density * model.node_area[v] * square
-            elastic += model.node_area[v] * (
-                0.5 * support * (dx * dx + dy * dy + dz * dz) - density * (g[0] * dx + g[1] * dy + g[2] * dz)
-            )
-    return kinetic, elastic
+            elastic += 0.5 * support * model.node_area[v] * (dx * dx + dy * dy + dz * dz)
+    return kinetic, elastic + weight_energy(model, parameters, state)
+
+
+@inner
+def weight_energy(model, parameters, state):
+    """Energy of the tissue's weight [J], 0 at rest."""
+    g = model.gravity
+    total = 0.0
+    for n in range(model.tissue_rate.size):
+        density = parameters[TISSUE_PARAMETERS * n + AREAL_DENSITY]
+        for v in range(model.tissue_vertex_start[n], model.tissue_vertex_start[n + 1]):
+            dx, dy, dz = state.x[v] - model.rest_x[v], state.y[v] - model.rest_y[v], state.z[v] - model.rest_z[v]
+            total -= density * model.node_area[v] * (g[0] * dx + g[1] * dy + g[2] * dz)
+    return total

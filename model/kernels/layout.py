@@ -138,7 +138,7 @@ class Model(NamedTuple):
     probe_weight: Real  # [1], shape [3 Q], areal coordinates
     safety: Real  # [1], shape [1], share of the stable limit that is used
     detection_period: Real  # [s], shape [1], time between two collision detections
-    energy_gain: Real  # [1], shape [1], factor on the energy that a step may gain
+    energy_gain: Real  # [1], shape [1], energy that may come from nowhere over what was put in
 
 
 class State(NamedTuple):
@@ -183,11 +183,15 @@ class State(NamedTuple):
     held_area: Real  # [m²], shape [G], of all that was held when the jaws closed
     pose: Real  # [m, 1], shape [7 B], position and unit quaternion w, x, y, z at the last communication point
     tuned: Real  # shape [L], parameters of the last step
+    crush: Real  # [1], shape [n], greatest stiffness across a crushed spring over that along it, so far
     since_detection: Real  # [s], shape [1]
     dissipated: Real  # [J], shape [1]
     work: Real  # [J], shape [1], done by the bodies on the tissue and on each other
     stored: Real  # [J], shape [1], energy of tissue, contacts and holds at the last communication point
     energy_start: Real  # [J], shape [1], stored energy when the work began to be counted
+    put_in: Real  # [J], shape [1], stored at the start, and put in by bodies, gravity and changed parameters since
+    gained: Real  # [J], shape [1], from nowhere since the start, what dampers gave included
+    found: Real  # [J], shape [1], the most that one late detection may have found since the start
 
 
 class Scratch(NamedTuple):

@@ -55,6 +55,17 @@ def largest_strain(first, last, i, j, rest, x, y, z):
 
 
 @inner
+def least_stretch(first, last, i, j, rest, x, y, z):
+    """Least length over rest length of springs first to last."""
+    least = math.inf
+    for s in range(first, last):
+        a, b = i[s], j[s]
+        dx, dy, dz = x[b] - x[a], y[b] - y[a], z[b] - z[a]
+        least = min(least, (dx * dx + dy * dy + dz * dz) / (rest[s] * rest[s]))
+    return math.sqrt(least)
+
+
+@inner
 def spring_energy(first, last, i, j, rest, stiffness, scale, nonlinearity, x, y, z):
     """Elastic energy [J] of springs first to last, sum of k l² (e²/2 + b e⁴/4)."""
     total = 0.0

@@ -28,13 +28,15 @@ from tissue_contact.kernels.slots import (
     TISSUE_PARAMETERS,
     VOLUME_STIFFNESS,
 )
-from tissue_contact.kernels.springs import largest_strain
+from tissue_contact.kernels.springs import largest_strain, least_stretch
 
 SYMPLECTIC_EULER, EXPLICIT_EULER, IMPLICIT_EULER, RUNGE_KUTTA_4 = 0, 1, 2, 3  # what Model.integrator says
 
 # |z| of the largest half disc of the left half plane within the region of stability of the classical Runge–Kutta
 # scheme is 2.6; it reaches -2.785 along the real axis and 2.828 along the imaginary one.
 RUNGE_KUTTA_RADIUS = 2.6
+
+CRUSH_MAX = 4.0  # of a spring crushed to a fifth; a passage at nothing no step resolves, and none is soon past it
 
 
 @inner
@@ -53,7 +55,21 @@ def _of_tissue(model, parameters, state, n):
             state.y,
             state.z,
         )
-    stiffness = scale * model.tissue_rate[n] + parameters[own + SUPPORT_STIFFNESS]
+    # Across a spring crushed to L of its length l the stiffness is k (l/L - 1), more than k below a half. What it once
+    # was stays counted: steps that grow and shrink in turn near their limit pump energy into the tissue.
+    stretch = least_stretch(
+        model.tissue_spring_start[n],
+        model.tissue_spring_start[n + 1],
+        model.spring_i,
+        model.spring_j,
+        model.spring_rest,
+        state.x,
+        state.y,
+        state.z,
+    )
+    crush = CRUSH_MAX if stretch * (1.0 + CRUSH_MAX) < 1.0 else 1.0 / stretch - 1.0
+    state.crush[n] = max(1.0, state.crush[n], crush)
+    stiffness = scale * state.crush[n] * model.tissue_rate[n] + parameters[own + SUPPORT_STIFFNESS]
     growth = 1.0
     if parameters[own + AREA_STIFFNESS] > 0.0 or parameters[own + VOLUME_STIFFNESS] > 0.0:
         growth = largest_growth(

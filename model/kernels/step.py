@@ -9,6 +9,7 @@ from tissue_contact.kernels.collision import FIELD, LITERAL, PRIMITIVE, body_fac
 from tissue_contact.kernels.compiled import inner, kernel
 from tissue_contact.kernels.contact import contact_slots
 from tissue_contact.kernels.damping import count_damping, damp_contacts
+from tissue_contact.kernels.energy import weight_energy
 from tissue_contact.kernels.explicit import explicit_euler, runge_kutta
 from tissue_contact.kernels.forces import (
     add_pulse,
@@ -24,16 +25,20 @@ from tissue_contact.kernels.implicit import implicit_euler
 from tissue_contact.kernels.laws import KELVIN_VOIGT
 from tissue_contact.kernels.outputs import give
 from tissue_contact.kernels.slots import (
+    AREAL_DENSITY,
     BODY_OUTPUTS,
     CONTACT_EXPONENT,
     CONTACT_STIFFNESS,
     ENERGY_BALANCE,
     POSE,
+    SUPPORT_STIFFNESS,
+    TISSUE_PARAMETERS,
 )
 from tissue_contact.kernels.stability import (
     EXPLICIT_EULER,
     IMPLICIT_EULER,
     RUNGE_KUTTA_4,
+    SYMPLECTIC_EULER,
     motion_rate,
     stable_substep,
     travel,
@@ -42,6 +47,7 @@ from tissue_contact.kernels.symplectic import symplectic_euler
 from tissue_contact.kernels.vectors import turn_between
 from tissue_contact.status import (
     ENERGY_GAIN,
+    ENERGY_SUM,
     NONFINITE_INPUT,
     NONFINITE_OUTPUT,
     NONFINITE_STATE,
@@ -57,6 +63,7 @@ QUATERNION_NORM_MIN = 1e-6
 INPUT_MAX = 1e6  # [m, 1] size of an input: beyond any scene, and no square or product of a few overflows
 PLACE_MAX = 1e6  # [m] sum of the coordinates of a vertex
 STEP_MIN, STEP_MAX = 1e-100, 1e6  # [s] between them no speed overflows and no time is lost
+SWING = 10.0  # symplectic Euler at the share s of its stable limit lets the energy of a motion swing by 1 / (1 - s²)
 ROUNDING = 1e-12  # of the energies that a balance is the difference of, and [J], that rounding may gain
 
 
@@ -158,6 +165,7 @@ def _tune(model, parameters, state, scratch, outputs):
     if changed:
         stored = give(model, parameters, state, scratch, 0.0, 0.0, outputs)
         state.energy_start[0] += stored - state.stored[0]
+        state.put_in[0] += max(0.0, stored - state.stored[0])
         state.stored[0] = stored
 
 
@@ -213,22 +221,17 @@ def _clash(model, parameters, state, scratch, elapsed, dt):
 
 
 @inner
-def _found(model, parameters, state, scratch, k, h):
-    """Energy [J] that a late detection may find in the spring of contact k.
+def _energy_at(model, parameters, state, k, depth):
+    """Energy [J] of the spring of contact k at a depth [m], or where the body ends: tissue that flies off is no find.
 
-    At the depth of the thinnest part and of the motion until then, or at the present one if that is more, but no deeper
-    than the body itself allows: a tissue that flies off is no find. A field presses on both sides of a fold as large
-    as the greatest face of the body's box. The depth of the thesis turns with the motion, and intersecting triangles
-    are at once as deep as they reach: both may find all of the body.
+    A field presses on both sides of a fold as large as the greatest face of the body's box.
     """
-    body, own, response = model.contact_body[k], contact_slots(model, k), model.contact_response[k]
-    way = travel(model, scratch, k, max(h, model.detection_period[0]))
-    depth, longest = max(model.contact_reach[k] + way, state.deepest[k]), body_size(model, body)
-    if response >= FIELD:
+    body, own = model.contact_body[k], contact_slots(model, k)
+    if model.contact_response[k] >= FIELD:
         depth = min(depth, model.contact_depth[k])
         size = 2.0 * body_face(model, body)
     else:
-        depth = longest if response in (LITERAL, PRIMITIVE) else min(depth, longest)
+        depth = min(depth, body_size(model, body))
         size = 0.0
         first = model.contact_touch_start[k]
         for m in range(first, first + state.touches[k]):
@@ -239,18 +242,66 @@ def _found(model, parameters, state, scratch, k, h):
 
 
 @inner
-def _allowed_gain(model, parameters, state, scratch, h, work):
-    """Energy [J] from nowhere that a step may end with.
+def _swing(model, parameters, state, scratch, h, dt):
+    """Energy [J] that symplectic Euler lends a motion at the end of a step and takes back within its period.
 
-    What was stored before it and its work, times a factor of the scene: symplectic Euler at the share s of its stable
-    limit lets the energy of a motion swing by 1 / (1 - s²). And what late detections may find. And rounding.
+    What it keeps of a linear motion is not the energy but that and dt/2 F·v.
     """
-    found = 0.0
+    tissue_forces(model, parameters, state, scratch)
+    clear_contacts(state, scratch)
+    contact_forces(model, parameters, state, scratch, h, 0.0, True)
+    g = model.gravity
+    power = 0.0
+    for n in range(model.tissue_rate.size):
+        own = TISSUE_PARAMETERS * n
+        density, support = parameters[own + AREAL_DENSITY], parameters[own + SUPPORT_STIFFNESS]
+        for v in range(model.tissue_vertex_start[n], model.tissue_vertex_start[n + 1]):
+            area = model.node_area[v]
+            power += state.vx[v] * (scratch.fx[v] + area * (density * g[0] - support * (state.x[v] - model.rest_x[v])))
+            power += state.vy[v] * (scratch.fy[v] + area * (density * g[1] - support * (state.y[v] - model.rest_y[v])))
+            power += state.vz[v] * (scratch.fz[v] + area * (density * g[2] - support * (state.z[v] - model.rest_z[v])))
+    return max(0.0, -0.5 * dt * power)
+
+
+@inner
+def _check_energy(model, parameters, state, scratch, h, dt, stored, work, gained):
+    """Refuse a step, and a sum of steps, that gains more energy from nowhere than can be explained.
+
+    A step: a swing of what was stored before it and of its ``work`` [J], and what late detections may find. All steps:
+    what was put in, times a factor of the scene, what one late detection usually finds, at the fastest so far, and the
+    swing of what is ``stored`` now [J]. A step that gains nothing is done, whatever was before.
+
+    A late detection finds a contact at the depth of the thinnest part and of the motion until then, or at the present
+    one. The depth of the thesis turns with the motion, and intersecting triangles are at once as deep as they reach:
+    both may find all of the body, but usually do not. A field that is looked for as far as the motion goes is found
+    within a substep.
+    """
+    found, usual = 0.0, 0.0
     for k in range(model.contact_body.size):
-        found += _found(model, parameters, state, scratch, k, h)
+        response = model.contact_response[k]
+        way = travel(model, scratch, k, max(h, model.detection_period[0]))
+        depth = max(model.contact_reach[k] + way, state.deepest[k])
+        most = math.inf if response in (LITERAL, PRIMITIVE) else depth
+        found += _energy_at(model, parameters, state, k, most)
+        if model.continuous[0] == 1 and response >= FIELD:
+            depth = travel(model, scratch, k, dt)
+        usual += _energy_at(model, parameters, state, k, depth)
+    state.found[0] = max(state.found[0], usual)
+    state.gained[0] += gained
     size = abs(state.stored[0]) + abs(work)
     rounding = ROUNDING * (1.0 + size + abs(state.work[0]) + state.dissipated[0])
-    return model.energy_gain[0] * size + found + rounding
+    allowed = max(SWING, model.energy_gain[0]) * size + found + rounding
+    if not gained <= allowed:
+        scratch.detail[0], scratch.detail[1] = gained, allowed
+        return ENERGY_GAIN
+    allowed = model.energy_gain[0] * state.put_in[0] + state.found[0] + rounding
+    if gained > rounding and state.gained[0] > allowed and model.integrator[0] == SYMPLECTIC_EULER:
+        # An unstable motion is all swing, a stable one at the share s of its limit a share s at most.
+        allowed += min(_swing(model, parameters, state, scratch, h, dt), model.safety[0] * stored)
+    if gained > rounding and not state.gained[0] <= allowed:
+        scratch.detail[0], scratch.detail[1] = state.gained[0], allowed
+        return ENERGY_SUM
+    return OK
 
 
 @kernel
@@ -276,6 +327,9 @@ def initialize(model, parameters, state, inputs, outputs, scratch):
     # What is stored before anything moved is where the balance starts from.
     state.stored[0] = give(model, parameters, state, scratch, 0.0, 0.0, outputs)
     state.energy_start[0] = state.stored[0]
+    state.put_in[0] = state.stored[0]
+    state.gained[0] = 0.0
+    state.found[0] = 0.0
     outputs[BODY_OUTPUTS * (state.pose.size // POSE) + ENERGY_BALANCE] = 0.0
     return _check_outputs(outputs, scratch)
 
@@ -315,7 +369,7 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
     balance = BODY_OUTPUTS * (state.pose.size // POSE) + ENERGY_BALANCE
     _tune(model, parameters, state, scratch, outputs)
     before, work = state.work[0] - state.dissipated[0] - (state.stored[0] - state.energy_start[0]), state.work[0]
-    dissipated = state.dissipated[0]
+    dissipated, weight = state.dissipated[0], weight_energy(model, parameters, state)
     _work_jaws(model, parameters, state, scratch, inputs)
     _move(model, state, scratch, h)
     substeps = _substeps(model, parameters, state, h, scratch)
@@ -348,13 +402,14 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
     if status != OK:
         return status
     stored = give(model, parameters, state, scratch, h, substeps, outputs)
-    allowed = _allowed_gain(model, parameters, state, scratch, h, state.work[0] - work)
-    state.stored[0] = stored
+    work = state.work[0] - work
+    state.put_in[0] += max(0.0, work) + max(0.0, weight - weight_energy(model, parameters, state))
     # Energy that dampers give comes from nowhere as well, though the balance counts it as taken.
     gained = before - outputs[balance] + max(0.0, dissipated - state.dissipated[0])
-    if not gained <= allowed:
-        scratch.detail[0], scratch.detail[1] = gained, allowed
-        return ENERGY_GAIN
+    status = _check_energy(model, parameters, state, scratch, h, dt, stored, work, gained)
+    if status != OK:
+        return status
+    state.stored[0] = stored
     status = _check_outputs(outputs, scratch)
     if status == OK:
         _settle(state, scratch)
