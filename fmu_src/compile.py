@@ -88,8 +88,9 @@ def _versions(*packages: str) -> list[str]:
 
 
 def kernels_hash(kernels: Path) -> str:
-    """Hash of all that decides the IR of the kernels. Every Python file beside ``kernels`` counts."""
-    sources = [*kernels.parent.glob("*.py"), Path(entry.__file__), Path(__file__)]
+    """Hash of all that decides the IR of the kernels. Every Python file beside ``kernels`` counts, and the layout's."""
+    beside, layout = kernels.parent.glob("*.py"), STEP_KERNELS.parent.glob("*.py")
+    sources = {*beside, *layout, Path(entry.__file__), Path(__file__)}
     return cache.digest(sources, kernels.name, entry.source(), *_versions("numba", "llvmlite", "numpy"))
 
 
