@@ -144,7 +144,7 @@ WRONG = {
     "contact range": (
         "stiffness = 500.0",
         "stiffness = 0",
-        ["contact[0].stiffness", "1 and 1e+07 N/m", "found 0"],
+        ["contact[0].stiffness", "1 and 1e+10 N/m", "found 0"],
     ),
     "unknown law": ("= 500.0", '= 500.0\nlaw = "hertz"', ["contact[0].law", '"hertz"', "kelvin_voigt"]),
     "unknown response": ('"hull"', '"sdf"', ["contact[0].response", '"sdf"', "oobb"]),

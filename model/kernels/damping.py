@@ -94,7 +94,7 @@ def _arm(scratch, m):
     return scratch.active_arm_x[m], scratch.active_arm_y[m], scratch.active_arm_z[m]
 
 
-@pointwise
+@inner
 def _axes(block, n):
     """A block of 3 n numbers by axis."""
     return block[:n], block[n : 2 * n], block[2 * n : 3 * n]
