@@ -26,7 +26,7 @@ def poses() -> np.ndarray:
     t = STEP * np.arange(STEPS + 1)
     z = np.full(t.size, 2e-3)
     x = np.zeros(t.size)
-    for begin, end, depth, place in ((0.0, 0.4, 5e-3, 0.0), (0.4, 0.8, 3e-3, 6e-3), (0.8, 1.0, 4e-3, -4e-3)):
+    for begin, end, depth, place in ((0.0, 0.4, 8e-3, 0.0), (0.4, 0.8, 5e-3, 6e-3), (0.8, 1.0, 6e-3, -4e-3)):
         inside = (t >= begin) & (t <= end)
         course = np.clip(2.5 * np.sin(np.pi * (t[inside] - begin) / (end - begin)) ** 2, 0.0, 1.0)
         course = course * course * (3.0 - 2.0 * course)  # in and out without a jolt
