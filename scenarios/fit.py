@@ -310,16 +310,17 @@ def _grid_table(variables: Sequence[Variable], found: SceneFit) -> str:
 # --- what is written --------------------------------------------------------------------------------------
 
 
-def _norms(force: Real, samples: int) -> Real:
-    """Size of force vectors, or normal forces as they are."""
-    rows = force.reshape(samples, -1)
-    return rows[:, 0] if rows.shape[1] == 1 else np.linalg.norm(rows, axis=1)
-
-
 def _curves(reading: Reading, found: _Found) -> list[Curve]:
+    """What the figures show: normal forces, or force vectors along the mean of the measured ones."""
     curves = []
     for k, r in enumerate(reading.recordings):
         n = len(r)
+        mean = found.measured[k].reshape(n, -1).sum(axis=0)
+        along = mean / (np.linalg.norm(mean) or 1.0) if mean.size > 1 else np.ones(1)
+
+        def shown(force: Real, n: int = n, along: Real = along) -> Real:
+            return force.reshape(n, -1) @ along
+
         x, name, unit = (r.depth, "depth", "m") if r.depth is not None else (r.time, "time", "s")
         curves.append(
             Curve(
@@ -328,9 +329,9 @@ def _curves(reading: Reading, found: _Found) -> list[Curve]:
                 x if x is not None else np.arange(n, dtype=float),
                 name if x is not None else "sample",
                 unit if x is not None else "1",
-                _norms(found.measured[k], n),
-                {law: _norms(parts[k], n) for law, parts in found.fitted.items()},
-                {law: _norms(parts[k], n) for law, parts in found.own.items()},
+                shown(found.measured[k]),
+                {law: shown(parts[k]) for law, parts in found.fitted.items()},
+                {law: shown(parts[k]) for law, parts in found.own.items()},
             )
         )
     return curves
