@@ -7,11 +7,14 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import least_squares as scipy_least_squares
+from test_cli import command
 
 from tissue_contact.assemble import assemble
 from tissue_contact.errors import InputError
+from tissue_contact.identify import scene_fit
 from tissue_contact.identify.pool import pool
 from tissue_contact.identify.recording import Recording
+from tissue_contact.identify.result import read_result
 from tissue_contact.identify.rollouts import (
     Drive,
     SceneForce,
@@ -22,8 +25,10 @@ from tissue_contact.identify.rollouts import (
     wanted_variables,
 )
 from tissue_contact.identify.scene_fit import Kept, SceneOptions, fit_scene
+from tissue_contact.scenarios.fit import Request
+from tissue_contact.scenarios.fit import fit as fit_data
 from tissue_contact.scenarios.fmu_force import FmuForce, FmuMaker, variables_of
-from tissue_contact.scenarios.run import fmu_of
+from tissue_contact.scenarios.run import Interrupted, fmu_of
 from tissue_contact.scene import parse_scene
 
 SCENE = b"""
@@ -199,3 +204,45 @@ def test_parameters_of_an_fmu_are_those_of_its_scene(fmu, assembly):
     own = [v for v in assembly.variables if v.block != "outputs"]
     assert [v._replace(slot=0) for v in found] == [v._replace(slot=0) for v in own]
     assert [v.slot for v in found if v.block == "inputs"] == list(range(len(assembly.inputs)))
+
+
+def test_an_fmu_alone_is_fitted_by_the_command(fmu, tmp_path):
+    recording = recorded(fmu, values=(2e7, 1e4, 7e4))
+    rows = np.concatenate([poses()[:, :4], recording.force_vector], axis=1)
+    file = tmp_path / "measured.csv"
+    np.savetxt(file, rows, delimiter=",", fmt="%.9g", header="time_s,x_m,y_m,z_m,fx_N,fy_N,fz_N", comments="")
+    words = ["fit", file, "--fmu", fmu, "--parameter", "tissue.supportStiffness", "-o", tmp_path / "out"]
+    done = command(*words)
+    assert done.returncode == 0, done.stderr
+    # Nine digits are written.
+    found = read_result(tmp_path / "out" / "result.json").parameters
+    assert found == pytest.approx({"tissue.supportStiffness": 7e4}, rel=1e-5)
+
+
+def test_an_interrupted_fit_says_what_it_kept_and_goes_on_there(assembly, tmp_path, monkeypatch):
+    file = tmp_path / "measured.csv"
+    scene_file = tmp_path / "scene.toml"
+    scene_file.write_bytes(SCENE)
+    rows = np.concatenate([poses()[:40, :4], np.zeros((40, 3))], axis=1)
+    np.savetxt(file, rows, delimiter=",", header="time_s,x_m,y_m,z_m,fx_N,fy_N,fz_N", comments="")
+    request = Request(
+        [file], tmp_path / "out", scene=scene_file, parameters=["tissue.supportStiffness"], starts=3, progress=False
+    )
+    done = []
+
+    def stopping(task):
+        if len(done) == 2:
+            raise KeyboardInterrupt
+        done.append(task)
+        return from_start(task)
+
+    from_start = scene_fit._from_start
+    monkeypatch.setattr(scene_fit, "_from_start", stopping)
+    with pytest.raises(Interrupted, match=r"Kept what is finished in .*starts\.json: the same command goes on there"):
+        fit_data(request)
+    assert len(json.loads((tmp_path / "out" / "starts.json").read_text())["done"]) == 2
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["starts.json"]
+    done.clear()
+    fit_data(request)
+    assert len(done) == 1
+    assert not (tmp_path / "out" / "starts.json").exists()
