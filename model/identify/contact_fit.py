@@ -66,25 +66,38 @@ class _Done:
     constants: Real  # all of the law
 
 
+@dataclass(frozen=True, eq=False)
+class _Wanted:
+    """A force as a function of some of its constants."""
+
+    force: Force
+    whole: Real  # all constants, of which the others stay
+    wanted: tuple[int, ...]
+
+    def _full(self, constants: Real) -> Real:
+        full = self.whole.copy()
+        full[list(self.wanted)] = constants
+        return full
+
+    def values(self, constants: Real) -> Real:
+        return self.force.values(self._full(constants))
+
+    def slopes(self, constants: Real) -> Real:
+        return self.force.slopes(self._full(constants))[:, list(self.wanted)]
+
+
 def _fit(task: _Task) -> _Done:
     options, constants = task.options, constants_of(task.law, task.options.per_area)
     whole = np.array([options.given.get(c.name, 0.0) for c in constants])
     wanted = tuple(k for k, c in enumerate(constants) if c.name not in options.given and _felt(c, task))
     limits = np.array([options.bounds.get(constants[k].name, _range(constants[k])) for k in wanted]).reshape(-1, 2)
-    force = Force(task.law, task.touches)
-
-    def model(values: Real, of: Force = force) -> tuple[Real, Real]:
-        full = whole.copy()
-        full[list(wanted)] = values
-        size, slope = of(full)
-        return size, slope[:, list(wanted)]
-
+    model = _Wanted(Force(task.law, task.touches), whole, wanted)
     starts = [np.clip(s[list(wanted)], limits[:, 0], limits[:, 1]) for s in _starts(task, constants, whole)]
     found = fit(model, task.force, starts, limits[:, 0], limits[:, 1], options.loss)
     missed, constants_found = np.empty(0), whole.copy()
     constants_found[list(wanted)] = found.values
     if task.unseen is not None:
-        missed = model(found.values, Force(task.law, task.unseen[0]))[0] - task.unseen[1]
+        missed = Force(task.law, task.unseen[0]).values(constants_found) - task.unseen[1]
     return _Done(found, wanted, missed, constants_found)
 
 

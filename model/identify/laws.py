@@ -82,9 +82,20 @@ class Force:
         self._count = len(LAWS[law][1])
         self._touches = touches
         self.size = touches.samples * touches.weight.shape[1]
+        self._last: tuple[bytes, tuple[Real, Real]] = (b"", (np.empty(0), np.empty(0)))
+
+    def values(self, constants: Real) -> Real:
+        """Force [N], shape [samples · d]."""
+        return self(constants)[0]
+
+    def slopes(self, constants: Real) -> Real:
+        """Derivatives of the force by the constants, shape [samples · d, constants]."""
+        return self(constants)[1]
 
     def __call__(self, constants: Real) -> tuple[Real, Real]:
         """Force [N], shape [samples · d], and its derivatives by the constants, shape [samples · d, constants]."""
+        if self._last[0] == constants.tobytes():  # a solver asks for the force and then for its derivatives
+            return self._last[1]
         t, deep, n = self._touches, self._deep, self._count
         force, slope = np.zeros((t.samples, t.weight.shape[1])), np.zeros((t.samples, t.weight.shape[1], n))
         if deep.size:
@@ -93,4 +104,5 @@ class Force:
             weight = t.weight[deep]
             np.add.at(force, t.sample[deep], np.asarray(size).T * weight)
             np.add.at(slope, t.sample[deep], weight[:, :, None] * np.asarray(gradient).T[:, None, :])
-        return force.ravel(), slope.reshape(self.size, n)
+        self._last = constants.tobytes(), (force.ravel(), slope.reshape(self.size, n))
+        return self._last[1]

@@ -1,7 +1,8 @@
 """Bounded nonlinear least squares with exact derivatives: one solver for laws and for whole models."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -9,7 +10,16 @@ from scipy.optimize import least_squares
 from tissue_contact.identify.recording import Real
 
 LOSSES = ("linear", "huber", "soft_l1", "cauchy")
-Model = Callable[[Real], tuple[Real, Real]]  # values, shape [m], and Jacobian, shape [m, p], of the constants
+
+
+class Model(Protocol):
+    """What is fitted, a function of the constants, shape [p]."""
+
+    def values(self, constants: Real) -> Real:
+        """What is compared with the measured, shape [m]."""
+
+    def slopes(self, constants: Real) -> Real:
+        """Its Jacobian, shape [m, p]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +31,7 @@ class Fit:
     jacobian: Real  # of the residual by the values, shape [m, p]
     weight: Real  # of each residual by the loss, 1 for plain least squares, shape [m]
     cost: float  # half of the sum of squares, or of the loss
-    evaluations: int  # of model and Jacobian
+    evaluations: int  # of the model
     converged: bool
     message: str
 
@@ -41,7 +51,7 @@ def fit(
     Parameters
     ----------
     model
-        Values and Jacobian as functions of the constants.
+        Its Jacobian is asked for only where a step was good.
     measured : shape [m]
     starts : each of shape [p], within the bounds
     lower, upper : shape [p]
@@ -50,7 +60,7 @@ def fit(
     noise
         Residual above which it does [unit of measured]; without it 1.5 times the robust spread of a linear fit.
     tolerance
-        Relative change of cost and constants at which the search ends.
+        Relative change of the cost at which the search ends, or a hundred times that of the constants.
     """
     if loss != "linear" and noise is None:
         plain = fit(model, measured, starts, lower, upper, tolerance=tolerance)
@@ -71,35 +81,23 @@ def fit(
     low, high = sought(lower), sought(upper)
     margin = 1e-9 * (high - low)  # the solver wants to begin inside
     for start in starts:
-        kept: dict[bytes, tuple[Real, Real]] = {}
-
-        def at(scaled: Real, kept: dict[bytes, tuple[Real, Real]] = kept) -> tuple[Real, Real]:
-            key = scaled.tobytes()
-            if key not in kept:
-                kept.clear()
-                values = natural(scaled)
-                force, slope = model(values)
-                kept[key] = force, slope * np.where(log, values, scale)
-            return kept[key]
-
         found = least_squares(
-            lambda u, at=at: at(u)[0] - measured,
+            lambda u: model.values(natural(u)) - measured,
             np.clip(sought(start), low + margin, high - margin),
-            jac=lambda u, at=at: at(u)[1],
+            jac=lambda u: model.slopes(natural(u)) * np.where(log, natural(u), scale),
             bounds=(low, high),
             x_scale="jac",
             loss=loss,
             f_scale=noise or 1.0,
             ftol=tolerance,
-            xtol=tolerance,
+            xtol=0.01 * tolerance,
             gtol=1e-15,
             max_nfev=500,
         )
         evaluations += found.nfev
         if best is None or found.cost < best.cost:
             values = natural(found.x)
-            force, jacobian = model(values)
-            residual = force - measured
+            residual, jacobian = model.values(values) - measured, model.slopes(values)
             weight = _weight(residual / (noise or 1.0), loss)
             best = Fit(values, residual, jacobian, weight, float(found.cost), 0, bool(found.status > 0), found.message)
     assert best is not None

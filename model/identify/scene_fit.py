@@ -22,7 +22,7 @@ from tissue_contact.identify.statistics import determination, root_mean_square
 from tissue_contact.identify.verdicts import estimates_of, numbers
 from tissue_contact.variables import Variable
 
-TOLERANCE = 1e-7  # of a search: rollouts jump by more as single points come into contact
+TOLERANCE = 1e-6  # of a search: rollouts jump by more as single points come into contact
 REACH = 10.0  # further starts lie between the scene's value over this and times this
 
 
@@ -87,28 +87,31 @@ class Kept:
         return [self.done[key] for key in keys]
 
 
-def _model_of(make: Maker, drives: Sequence[Drive]) -> tuple[Callable[[Real], tuple[Real, Real]], Real, list[Any]]:
-    """Force and Jacobian through casadi, the measured force, and what must be kept alive."""
-    measured = np.concatenate([d.measured for d in drives])
-    force = as_casadi(make(drives), len(measured))
-    constants = ca.MX.sym("parameters", force.size1_in(0))
-    value = force(constants)
-    both = ca.Function("both", [constants], [value, ca.jacobian(value, constants)])
+class _Traced:
+    """The force of some drives, and its Jacobian, as casadi evaluates them."""
 
-    def model(values: Real) -> tuple[Real, Real]:
-        size, slope = both(values)
-        return np.asarray(size).ravel(), np.asarray(slope)
+    def __init__(self, make: Maker, drives: Sequence[Drive]) -> None:
+        self.measured = np.concatenate([d.measured for d in drives])
+        self._force = as_casadi(make(drives), len(self.measured))  # what is made of it does not keep it alive
+        constants = ca.MX.sym("parameters", self._force.size1_in(0))
+        force = self._force(constants)
+        self._values = ca.Function("values", [constants], [force])
+        self._slopes = ca.Function("slopes", [constants], [ca.jacobian(force, constants)])
 
-    return model, measured, [force]
+    def values(self, constants: Real) -> Real:
+        return np.asarray(self._values(constants)).ravel()
+
+    def slopes(self, constants: Real) -> Real:
+        return np.asarray(self._slopes(constants))
 
 
 def _from_start(task: _Task) -> dict[str, Any]:
-    model, measured, _alive = _model_of(task.make, task.drives)
-    found = fit(model, measured, [task.start], task.lower, task.upper, task.loss, tolerance=TOLERANCE)
+    model = _Traced(task.make, task.drives)
+    found = fit(model, model.measured, [task.start], task.lower, task.upper, task.loss, tolerance=TOLERANCE)
     missed: list[float] = []
     if task.unseen:
-        own, other, _also = _model_of(task.make, task.unseen)
-        missed = (own(found.values)[0] - other).tolist()
+        unseen = _Traced(task.make, task.unseen)
+        missed = (unseen.values(found.values) - unseen.measured).tolist()
     return {
         "values": found.values.tolist(),
         "cost": found.cost,
@@ -184,8 +187,9 @@ def fit_scene(
     runs = kept.spread(spread, _from_start, [task(s) for s in starts], [f"start {s.tolist()}" for s in starts], on_done)
     best = min(runs, key=lambda run: run["cost"])
     values = np.array(best["values"])
-    model, measured, _alive = _model_of(make, drives)
-    force, jacobian = model(values)
+    model = _Traced(make, drives)
+    measured = model.measured
+    force, jacobian = model.values(values), model.slopes(values)
     found = Fit(
         values, force - measured, jacobian, np.ones_like(measured), best["cost"],
         sum(run["evaluations"] for run in runs), best["converged"], best["message"],
