@@ -14,10 +14,12 @@ from test_recording import MEASURED
 from tissue_contact.assemble import assemble
 from tissue_contact.errors import InputError
 from tissue_contact.identify.contact_fit import Options, Probe, fit_laws
-from tissue_contact.identify.laws import LAWS, Force
+from tissue_contact.identify.laws import LAWS, Force, Touches, constants_of
+from tissue_contact.identify.least_squares import fit as least_squares_fit
 from tissue_contact.identify.reading import Mapping, Treatment, read
 from tissue_contact.identify.result import read_result
 from tissue_contact.identify.rollouts import Drive
+from tissue_contact.identify.statistics import uncertainty
 from tissue_contact.identify.touching import of_depth
 from tissue_contact.identify.write_scene import write_scene
 from tissue_contact.scenarios.fit import with_options
@@ -194,6 +196,56 @@ def test_an_fmu_has_the_error_of_the_fit_of_every_probe_of_liver(liver, law):
     expected, found = own_errors(liver, law)
     assert len(found) > 0.9 * len(liver)
     assert found == pytest.approx(expected, rel=1e-5, abs=1e-6)
+
+
+# --- data that the FMU made -------------------------------------------------------------------------------
+
+DRAWS = 200
+TRUE = {
+    "kelvin_voigt": {"contact.stiffness": 300.0, "contact.damping": 0.5},
+    "hunt_crossley": {"contact.stiffness": 2e4, "contact.dissipation": 3.0, "contact.exponent": 1.8},
+}
+
+
+@pytest.fixture(scope="module", params=LAWS)
+def of_the_fmu(request):
+    """Law, geometry and clean force of a ball that goes in and out of a held sheet, at two speeds."""
+    law, n = request.param, 400
+    t = 1e-3 * np.arange(n)
+    depth = 3e-3 * np.sin(10 * np.pi * t) ** 2 * (1 + 0.3 * np.sin(60 * t)) - 1e-4
+    poses = np.zeros((n, 7))
+    poses[:, 2], poses[:, 3] = -depth, 1.0
+    force = FmuForce(held_fmu(law), "instrument", [Drive(poses, 1e-3, np.empty(0))], tuple(TRUE[law]))
+    clean = force.values(np.array(list(TRUE[law].values()))).reshape(-1, 3)[:, 2]
+    # Between two poses the ball moves evenly.
+    rate = np.diff(depth, prepend=depth[0]) / 1e-3
+    kept = depth > 1e-4  # the FMU looks for touches every millisecond: the first of each is found late
+    return law, Touches(np.arange(n), depth, rate, np.ones((n, 1)), n).at(np.flatnonzero(kept)), clean[kept]
+
+
+def test_clean_data_of_the_fmu_give_its_constants_back(of_the_fmu):
+    law, touches, clean = of_the_fmu
+    (found, *_), _, _ = fit_laws([Probe("a", "", touches, clean)], Options(laws=(law,)), True, "")
+    values = {f"contact.{e.name}": e.value for e in found.estimates}
+    assert values == pytest.approx(TRUE[law], rel=1e-6)
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.05, 0.2])
+def test_intervals_cover_the_constants_of_the_fmu_as_often_as_they_say(of_the_fmu, noise):
+    law, touches, clean = of_the_fmu
+    seed = 21
+    rng = np.random.default_rng(seed)
+    truth = np.array(list(TRUE[law].values()))
+    lower, upper = np.array([[c.minimum, c.maximum] for c in constants_of(law, False)]).T
+    force, hits = Force(law, touches), np.zeros(truth.size)
+    for _ in range(DRAWS):
+        found = least_squares_fit(
+            force, clean + noise * clean.max() * rng.standard_normal(clean.size), [truth], lower, upper
+        )
+        trust = uncertainty(found, lower > 0.0)
+        hits += (trust.low <= truth) & (truth <= trust.high)
+    # 95 % of 200 is 190 with a standard deviation of 3: 180 to 198 is what chance leaves but one time in 500.
+    assert ((hits >= 180) & (hits <= 198)).all(), (seed, hits)
 
 
 # --- what is wrong ----------------------------------------------------------------------------------------
