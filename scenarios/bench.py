@@ -48,9 +48,8 @@ MESH = 'mesh = "{name}"\nopen_surface = true'
 IRREGULAR = 'shape = {{ kind = "patch", size = [0.06, 0.06], triangles = {n}, curvature_radius = 0.4, seed = 1 }}'
 CONTACT = """
 [[contact]]
-response = "hull"
-stiffness = 100.0
-damping = 0.05
+stiffness_per_area = 1e8
+damping_per_area = 2e4
 """
 EMPTY = """
 name = "empty"
