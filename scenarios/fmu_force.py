@@ -67,8 +67,8 @@ class FmuForce:
     def values(self, parameters: Real) -> Real:
         return self._run([parameters])[0]
 
-    def slopes(self, parameters: Real) -> tuple[Real, Real]:
-        sets, widths = [parameters], []
+    def slopes(self, parameters: Real) -> Real:
+        sets, widths = [], []
         for k, v in enumerate(self.variables):
             high = v.maximum if np.isfinite(v.maximum) else 1.0
             reach = DIFFERENCE * (abs(parameters[k]) or high)
@@ -77,9 +77,8 @@ class FmuForce:
                 sets.append(parameters.copy())
                 sets[-1][k] = value
             widths.append(around[1] - around[0])
-        force, *rest = self._run(sets)
-        slopes = [(b - a) / w for a, b, w in zip(rest[::2], rest[1::2], widths, strict=True)]
-        return force, np.stack(slopes, axis=1)
+        runs = self._run(sets)
+        return np.stack([(b - a) / w for a, b, w in zip(runs[::2], runs[1::2], widths, strict=True)], axis=1)
 
 
 @dataclass(frozen=True)

@@ -41,8 +41,8 @@ class ForceModel(Protocol):
     def values(self, parameters: Real) -> Real:
         """Force [N], shape [m]."""
 
-    def slopes(self, parameters: Real) -> tuple[Real, Real]:
-        """Force and its derivatives by the parameters, shape [m, p]."""
+    def slopes(self, parameters: Real) -> Real:
+        """Its derivatives by the parameters, shape [m, p]."""
 
 
 def wanted_variables(variables: Sequence[Variable], names: Sequence[str]) -> list[Variable]:
@@ -107,12 +107,10 @@ class SceneForce:
         runs = [rollout(self._assembly, d.inputs, d.step, full).outputs for d in self._drives]
         return np.concatenate([run[:, self._force].ravel() for run in runs])
 
-    def slopes(self, parameters: Real) -> tuple[Real, Real]:
+    def slopes(self, parameters: Real) -> Real:
         full = self._full(parameters)
-        runs = [sensitivities(self._assembly, d.inputs, d.step, full, self._slots) for d in self._drives]
-        force = np.concatenate([run[:, self._force].ravel() for run, _ in runs])
-        slope = np.concatenate([by[:, self._force].reshape(-1, len(self._slots)) for _, by in runs])
-        return force, slope
+        runs = [sensitivities(self._assembly, d.inputs, d.step, full, self._slots)[1] for d in self._drives]
+        return np.concatenate([by[:, self._force].reshape(-1, len(self._slots)) for by in runs])
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +184,7 @@ class _Jacobian(ca.Callback):
         return ca.Sparsity.dense(self.size, len(self.model.variables))
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[Real]:
-        return [self.model.slopes(np.asarray(arguments[0]).ravel())[1]]
+        return [self.model.slopes(np.asarray(arguments[0]).ravel())]
 
 
 def as_casadi(model: ForceModel, size: int, name: str = "force") -> ca.Callback:
