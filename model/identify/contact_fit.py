@@ -11,8 +11,8 @@ from tissue_contact.identify.least_squares import Fit, fit
 from tissue_contact.identify.pool import Spread, in_line
 from tissue_contact.identify.recording import Real
 from tissue_contact.identify.result import Estimate, Fitted, HeldOut
-from tissue_contact.identify.statistics import determination, root_mean_square
-from tissue_contact.identify.verdicts import estimates_of, numbers
+from tissue_contact.identify.statistics import folds
+from tissue_contact.identify.verdicts import estimates_of, numbers, tried
 from tissue_contact.settings import nearest
 
 EXPONENTS = (1.2, 2.0, 2.8)  # from which a fit starts, within the range of the scene
@@ -219,17 +219,8 @@ def fit_laws(
     for law in options.laws if splits else ():
         parts = [(r.missed, t.unseen[1]) for p, t, r in zip(places, tasks, results, strict=True)
                  if p[0] == law and t.unseen is not None]  # fmt: skip
-        missed, force = (np.concatenate(part) for part in zip(*parts, strict=True))
         what = "probes" if len(probes) > 1 else "stretches of the recording"
-        held_out.append(
-            HeldOut(
-                law=law,
-                what=what,
-                folds=len(parts),
-                rmse=root_mean_square(missed),
-                r2=_finite(determination(missed, force)),
-            )
-        )
+        held_out.append(tried(law, what, parts))
     return fitted, held_out, {p: r.constants for p, r in zip(places, results, strict=True) if p[1] != "fold"}
 
 
@@ -245,11 +236,9 @@ def _folds(probes: Sequence[Probe], options: Options) -> list[tuple[tuple[Touche
             ((touches.at(r), force[r].ravel()), (touches.at(p), force[p].ravel()))
             for r, p in zip(rest, parts, strict=True)
         ]  # fmt: skip
-    order = np.random.default_rng(options.seed).permutation(len(probes))
-    turns = np.array_split(order, min(options.folds, len(probes)))
     return [
-        (joined([probes[k] for k in sorted(set(order) - set(turn))]), joined([probes[k] for k in sorted(turn)]))
-        for turn in turns
+        (joined([probes[k] for k in rest]), joined([probes[k] for k in part]))
+        for rest, part in folds(len(probes), options.folds, options.seed)
     ]
 
 
@@ -270,7 +259,3 @@ def _fitted(place: Place, task: _Task, done: _Done, why_no_rate: str) -> Fitted:
         elif c.name not in by_name:
             by_name[c.name] = Estimate(name=c.name, unit=c.unit, value=None, verdict="not identifiable", reason=reason)
     return numbers(done.fit, task.force, scope, label, law, [by_name[n] for n in names], correlation)
-
-
-def _finite(number: float) -> float | None:
-    return number if np.isfinite(number) else None

@@ -18,8 +18,8 @@ from tissue_contact.identify.pool import Spread, in_line
 from tissue_contact.identify.recording import Real
 from tissue_contact.identify.result import Fitted, HeldOut
 from tissue_contact.identify.rollouts import Drive, ForceModel, as_casadi
-from tissue_contact.identify.statistics import determination, root_mean_square
-from tissue_contact.identify.verdicts import estimates_of, numbers
+from tissue_contact.identify.statistics import folds
+from tissue_contact.identify.verdicts import estimates_of, numbers, tried
 from tissue_contact.variables import Variable
 
 TOLERANCE = 1e-6  # of a search: rollouts jump by more as single points come into contact
@@ -175,7 +175,7 @@ def fit_scene(
     limits = np.array([_limits(v, options) for v in variables])
     lower, upper = limits[:, 0], limits[:, 1]
     points = _grid(variables, start, options)
-    parts = _folds(len(drives), options)
+    parts = folds(len(drives), options.folds, options.seed) if len(drives) > 1 else []
     on_plan(len(points) + options.starts + len(parts))
 
     def task(at: Real, seen: Sequence[Drive] = drives, unseen: Sequence[Drive] = ()) -> _Task:
@@ -196,20 +196,14 @@ def fit_scene(
     )  # fmt: skip
     estimates, correlation = estimates_of(found, [v.name for v in variables], [v.unit for v in variables], lower, upper)
     fitted = numbers(found, measured, "pooled", "all probes", "scene", estimates, correlation)
-    folds = [([drives[k] for k in rest], [drives[k] for k in part]) for rest, part in parts]
+    folded = [([drives[k] for k in rest], [drives[k] for k in part]) for rest, part in parts]
     keys = [f"fold {part} from {values.tolist()}" for _, part in parts]
-    tried = kept.spread(spread, _from_start, [task(values, *f) for f in folds], keys, on_done)
-    held_out: tuple[HeldOut, ...] = ()
-    if tried:
-        missed = np.concatenate([t["missed"] for t in tried])
-        seen = np.concatenate([d.measured for _, unseen in folds for d in unseen])
-        r2 = determination(missed, seen)
-        held_out = (
-            HeldOut(
-                law="scene", what="probes", folds=len(tried), rmse=root_mean_square(missed),
-                r2=r2 if np.isfinite(r2) else None,
-            ),
-        )  # fmt: skip
+    runs_held = kept.spread(spread, _from_start, [task(values, *f) for f in folded], keys, on_done)
+    errors = [
+        (np.array(run["missed"]), np.concatenate([d.measured for d in unseen]))
+        for run, (_, unseen) in zip(runs_held, folded, strict=True)
+    ]
+    held_out = (tried("scene", "probes", errors),) if errors else ()
     grid = (np.array(points), np.array(costs)) if costs else None
     return SceneFit(fitted, held_out, values, force, measured, runs, grid)
 
@@ -251,11 +245,3 @@ def _grid(variables: Sequence[Variable], start: Real, options: SceneOptions) -> 
         for k, v in enumerate(variables)
     ]
     return list(np.stack([part.ravel() for part in np.meshgrid(*axes, indexing="ij")], axis=1))
-
-
-def _folds(count: int, options: SceneOptions) -> list[tuple[list[int], list[int]]]:
-    if count < 2:
-        return []
-    order = np.random.default_rng(options.seed).permutation(count)
-    parts = [sorted(int(k) for k in part) for part in np.array_split(order, min(options.folds, count))]
-    return [(sorted(set(range(count)) - set(part)), part) for part in parts]

@@ -95,10 +95,17 @@ def root_mean_square(residual: Real) -> float:
     return float(np.sqrt(np.mean(residual**2)))
 
 
-def determination(residual: Real, measured: Real) -> float:
-    """R², 1 less the sum of squares over that about the mean; minus infinity for data without spread."""
+def determination(residual: Real, measured: Real) -> float | None:
+    """R², 1 less the sum of squares over that about the mean; None for data without spread."""
     spread = float(((measured - measured.mean()) ** 2).sum())
-    return 1.0 - float((residual**2).sum()) / spread if spread > 0.0 else -np.inf
+    return 1.0 - float((residual**2).sum()) / spread if spread > 0.0 else None
+
+
+def folds(count: int, most: int, seed: int) -> list[tuple[list[int], list[int]]]:
+    """Cross-validation: a shuffled count cut into parts, ``most`` at most, each with the rest that it is tried on."""
+    order = np.random.default_rng(seed).permutation(count)
+    parts = [sorted(int(k) for k in part) for part in np.array_split(order, min(most, count))]
+    return [(sorted(set(range(count)) - set(part)), part) for part in parts]
 
 
 def akaike(residual: Real, constants: int) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 
 from tissue_contact.identify.least_squares import Fit
 from tissue_contact.identify.recording import Real
-from tissue_contact.identify.result import Estimate, Fitted
+from tissue_contact.identify.result import Estimate, Fitted, HeldOut
 from tissue_contact.identify.statistics import (
     akaike,
     autocorrelation,
@@ -52,7 +52,6 @@ def numbers(
     correlation: tuple[tuple[float, ...], ...],
 ) -> Fitted:
     """All that is told of one fit."""
-    r2 = determination(fit.residual, measured)
     return Fitted(
         scope=scope,
         label=label,
@@ -61,10 +60,18 @@ def numbers(
         correlation=correlation,
         samples=len(measured),
         rmse=root_mean_square(fit.residual),
-        r2=r2 if np.isfinite(r2) else None,
+        r2=determination(fit.residual, measured),
         aic=akaike(fit.residual, len(fit.values)),
         autocorrelation=autocorrelation(fit.residual),
         evaluations=fit.evaluations,
         converged=fit.converged,
         message=fit.message,
+    )
+
+
+def tried(law: str, what: str, parts: Sequence[tuple[Real, Real]]) -> HeldOut:
+    """Error on ``what`` was held out: residual and measured force of every fold."""
+    missed, measured = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return HeldOut(
+        law=law, what=what, folds=len(parts), rmse=root_mean_square(missed), r2=determination(missed, measured)
     )
