@@ -167,6 +167,8 @@ def _check(request: Request) -> None:
          "there must be a scene to store in", request.write_scene, "Give --scene SCENE"),
         (bool(request.grid) and not whole, "--grid", "a grid is for a fit of the whole model", ", ".join(request.grid),
          "Name what to fit with --parameter"),
+        (whole and tuple(request.laws) != tuple(LAWS), "--law", "the scene or the FMU says what the law is",
+         ", ".join(request.laws), "Leave --law out"),
         (whole and bool(request.given), "--fix", "a whole model keeps what --parameter does not name",
          ", ".join(request.given), "Leave --fix out, and set the value in the scene"),
     ]  # fmt: skip
@@ -241,7 +243,7 @@ def _law_alone(request: Request, scene: Scene | None, reading: Reading, spread: 
 def _whole_model(
     request: Request, scene: Scene | None, reading: Reading, spread: Spread, bar: Progress, kept: Path, console: Console
 ) -> _Found:
-    task = bar.add_task("rolling out", total=None)
+    task = bar.add_task("rolling out (the first time compiles for minutes)", total=None)
     variables: Sequence[Variable]
     make: Maker
     names = tuple(request.parameters)

@@ -30,6 +30,7 @@ from tissue_contact.scenarios.fit import fit as fit_data
 from tissue_contact.scenarios.fmu_force import FmuForce, FmuMaker, variables_of
 from tissue_contact.scenarios.run import Interrupted, fmu_of
 from tissue_contact.scene import parse_scene
+from tissue_contact.variables import Variable
 
 SCENE = b"""
 name = "soft"
@@ -204,6 +205,54 @@ def test_parameters_of_an_fmu_are_those_of_its_scene(fmu, assembly):
     own = [v for v in assembly.variables if v.block != "outputs"]
     assert [v._replace(slot=0) for v in found] == [v._replace(slot=0) for v in own]
     assert [v.slot for v in found if v.block == "inputs"] == list(range(len(assembly.inputs)))
+
+
+class Line:
+    """A force that is known in closed form: a x + b, with x from 0 to 1."""
+
+    variables = (
+        Variable("a", "parameters", 0, "N", 1.0, 0.0, 10.0, ""),
+        Variable("b", "parameters", 1, "N", 1.0, 0.0, 10.0, ""),
+    )
+    x = np.linspace(0.0, 1.0, 300)
+
+    def __init__(self, drives=()):
+        pass
+
+    def values(self, parameters):
+        return parameters[0] * self.x + parameters[1]
+
+    def slopes(self, parameters):
+        return np.stack([self.x, np.ones_like(self.x)], axis=1)
+
+
+def test_errors_of_a_robust_fit_are_those_of_its_weights(tmp_path):
+    seed = 12
+    measured = Line().values([2.0, 3.0]) + 0.01 * np.random.default_rng(seed).standard_normal(300)
+    measured[::10] += 5.0
+    drive = Drive(np.empty((0, 0)), 1.0, measured)
+    error = {}
+    for loss in ("linear", "huber"):
+        kept = Kept(tmp_path / loss, "")
+        found = fit_scene(Line, [drive], Line.variables, np.ones(2), SceneOptions(loss=loss), kept)
+        error[loss] = found.fitted.estimates[0].standard_error
+    # Outliers 500 times the noise count by their square in one and by their size in the other.
+    assert error["huber"] < 0.2 * error["linear"], (seed, error)
+
+
+@pytest.mark.parametrize(
+    "options, told",
+    [
+        ({"bounds": {"aa": (0.0, 1.0)}}, r"--bounds: .*--parameter names.*aa"),
+        ({"grid": {"c": (0.0, 1.0, 2)}}, r"--grid: .*--parameter names"),
+        ({"grid": {"a": (0.0, 11.0, 2)}}, r"--grid: .*between 0 and 10 N.*0:11:2"),
+        ({"bounds": {"a": (2.0, 1.0)}}, r"--bounds: .*in order"),
+    ],
+)
+def test_options_for_what_is_not_fitted_are_refused(tmp_path, options, told):
+    drive = Drive(np.empty((0, 0)), 1.0, np.zeros(300))
+    with pytest.raises(InputError, match=told):
+        fit_scene(Line, [drive], Line.variables, np.ones(2), SceneOptions(**options), Kept(tmp_path / "kept", ""))
 
 
 def test_an_fmu_alone_is_fitted_by_the_command(fmu, tmp_path):

@@ -30,6 +30,7 @@ class Fit:
     residual: Real  # model less measured, shape [m]
     jacobian: Real  # of the residual by the values, shape [m, p]
     weight: Real  # of each residual by the loss, 1 for plain least squares, shape [m]
+    noise: float  # residual above which the loss weighs down; 1 for plain least squares
     cost: float  # half of the sum of squares, or of the loss
     evaluations: int  # of the model
     converged: bool
@@ -98,13 +99,15 @@ def fit(
         if best is None or found.cost < best.cost:
             values = natural(found.x)
             residual, jacobian = model.values(values) - measured, model.slopes(values)
-            weight = _weight(residual / (noise or 1.0), loss)
-            best = Fit(values, residual, jacobian, weight, float(found.cost), 0, bool(found.status > 0), found.message)
+            size = noise or 1.0
+            weight = weights(residual / size, loss)
+            cost, ended = float(found.cost), bool(found.status > 0)
+            best = Fit(values, residual, jacobian, weight, size, cost, 0, ended, found.message)
     assert best is not None
     return Fit(**{**best.__dict__, "evaluations": evaluations})
 
 
-def _weight(z: Real, loss: str) -> Real:
+def weights(z: Real, loss: str) -> Real:
     """Weight of residuals in units of the noise: the derivative of the loss by z²."""
     if loss == "huber":
         return 1.0 / np.fmax(1.0, np.abs(z))

@@ -13,13 +13,14 @@ from scipy.stats import qmc
 
 from tissue_contact.errors import InputError
 from tissue_contact.files import publish
-from tissue_contact.identify.least_squares import Fit, fit
+from tissue_contact.identify.least_squares import Fit, fit, weights
 from tissue_contact.identify.pool import Spread, in_line
 from tissue_contact.identify.recording import Real
 from tissue_contact.identify.result import Fitted, HeldOut
 from tissue_contact.identify.rollouts import Drive, ForceModel, as_casadi
 from tissue_contact.identify.statistics import folds
 from tissue_contact.identify.verdicts import estimates_of, numbers, tried
+from tissue_contact.settings import nearest
 from tissue_contact.variables import Variable
 
 TOLERANCE = 1e-6  # of a search: rollouts jump by more as single points come into contact
@@ -115,6 +116,7 @@ def _from_start(task: _Task) -> dict[str, Any]:
     return {
         "values": found.values.tolist(),
         "cost": found.cost,
+        "noise": found.noise,
         "evaluations": found.evaluations,
         "converged": found.converged,
         "message": found.message,
@@ -172,6 +174,12 @@ def fit_scene(
     on_plan, on_done
         Told the number of tasks, and whenever one is done.
     """
+    names = [v.name for v in variables]
+    for option, given in (("--bounds", options.bounds), ("--grid", options.grid)):
+        for name in given:
+            if name not in names:
+                rule = "it must be for a parameter that --parameter names"
+                raise InputError(option, rule, name, nearest(name, names, what="parameters"))
     limits = np.array([_limits(v, options) for v in variables])
     lower, upper = limits[:, 0], limits[:, 1]
     points = _grid(variables, start, options)
@@ -191,10 +199,11 @@ def fit_scene(
     measured = model.measured
     force, jacobian = model.values(values), model.slopes(values)
     found = Fit(
-        values, force - measured, jacobian, np.ones_like(measured), best["cost"],
+        values, force - measured, jacobian, weights((force - measured) / best["noise"], options.loss), best["noise"],
+        best["cost"],
         sum(run["evaluations"] for run in runs), best["converged"], best["message"],
     )  # fmt: skip
-    estimates, correlation = estimates_of(found, [v.name for v in variables], [v.unit for v in variables], lower, upper)
+    estimates, correlation = estimates_of(found, names, [v.unit for v in variables], lower, upper)
     fitted = numbers(found, measured, "pooled", "all probes", "scene", estimates, correlation)
     folded = [([drives[k] for k in rest], [drives[k] for k in part]) for rest, part in parts]
     keys = [f"fold {part} from {values.tolist()}" for _, part in parts]
@@ -240,6 +249,12 @@ def _starts(begin: Real, lower: Real, upper: Real, options: SceneOptions) -> lis
 def _grid(variables: Sequence[Variable], start: Real, options: SceneOptions) -> list[Real]:
     if not options.grid:
         return []
+    for v in variables:
+        low, high, count = options.grid.get(v.name, (*_limits(v, options), 1))
+        least, greatest = _limits(v, options)
+        if not (least <= low <= high <= greatest and count >= 1):
+            rule = f"a grid of {v.name} must lie in order between {least:g} and {greatest:g} {v.unit}, with a count"
+            raise InputError("--grid", rule, f"{low:g}:{high:g}:{count}", "Choose within its bounds")
     axes = [
         np.linspace(*options.grid[v.name]) if v.name in options.grid else np.array([start[k]])
         for k, v in enumerate(variables)
