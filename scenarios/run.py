@@ -335,7 +335,9 @@ def run(
     if figures:
         from tissue_contact.scenarios.report import draw  # matplotlib takes a second
 
-        files = draw(outcome, tuned(assembly(), parameters), output)
+        with bar_of(console, progress) as bar:
+            bar.add_task("drawing (the first time compiles for a minute)", total=None)
+            files = draw(outcome, tuned(assembly(), parameters), output)
         outcome = replace(outcome, files=[table, *files])
     for file in outcome.files:
         Console().print(f"wrote {file}", highlight=False, markup=False, soft_wrap=True)
