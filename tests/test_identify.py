@@ -1,5 +1,6 @@
 """Identification of a contact law: recovery, coverage of intervals, verdicts, held-out probes, geometry."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,19 +17,18 @@ from tissue_contact.identify.recording import Recording
 from tissue_contact.identify.result import Fitted
 from tissue_contact.identify.statistics import uncertainty
 from tissue_contact.identify.touching import of_depth, of_pose, of_tip
+from tissue_contact.scenarios.identification import TRUTH
+from tissue_contact.scenarios.identification import touches as sweep
 from tissue_contact.scene import parse_scene
 from tissue_contact.simulate import rollout
 
-TRUTH = {"kelvin_voigt": np.array([300.0, 0.8]), "hunt_crossley": np.array([2e4, 1.5, 1.8])}
 SAMPLES = 400
 
 
 def swept(samples: int = SAMPLES, moving: bool = True) -> Touches:
-    """Depth that goes in and out some times, at two speeds: all constants of every law can be told."""
-    t = 2e-3 * np.arange(samples)
-    depth = 3e-3 * np.sin(5 * np.pi * t) ** 2 * (1 + 0.3 * np.sin(30 * t))
-    rate = np.gradient(depth, t) if moving else np.zeros(samples)
-    return Touches(np.arange(samples), depth, rate, np.ones((samples, 1)), samples)
+    """All constants of every law can be told from it, where it moves."""
+    made = sweep(samples)
+    return made if moving else replace(made, rate=np.zeros(samples))
 
 
 def only(fits: list[Fitted], scope: str = "pooled") -> Fitted:
