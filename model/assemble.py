@@ -318,9 +318,8 @@ def _state(scene: Scene, model: Model, sizes: Sizes) -> State:
         **dict.fromkeys(
             ("pairs", "rejected", "touches", "regions", "near_count", "touch_load", "deepest", "tissue_speed"), contacts
         ),
-        **dict.fromkeys(
-            ("since_detection", "dissipated", "work", "stored", "energy_start", "put_in", "gained", "found"), 1
-        ),
+        **dict.fromkeys(("since_detection", "dissipated", "work", "stored", "energy_start"), 1),
+        **dict.fromkeys(("put_in", "gained", "returned", "found"), 1),
         "crush": len(scene.tissue),
         **dict.fromkeys(("closed", "held", "held_area"), holds),
         "side": model.contact_side_start[-1],

@@ -17,6 +17,7 @@ STEP_SIZE = 8
 NONFINITE_OUTPUT = 9
 TOO_MANY_POINTS = 10
 ENERGY_SUM = 11
+ENERGY_RETURNED = 12
 
 
 class Status(NamedTuple):
@@ -110,5 +111,13 @@ STATUSES = (
         "times what was put in, what one late detection may find and the swing of the scheme: the state from before "
         "the step stays. Use response distance_field, damp the tissue more, lower solver.safety, or raise "
         "solver.energy_gain",
+    ),
+    Status(
+        ENERGY_RETURNED,
+        "energy_returned",
+        True,
+        "with this step the bodies would have got back %g J since the start, and %g J are allowed, what was put in and "
+        "what one late detection may find: the state from before the step stays. Use response distance_field, shorten "
+        "solver.detection_period, damp the tissue more, or raise solver.energy_gain",
     ),
 )

@@ -17,16 +17,16 @@ from tissue_contact.errors import InputError
 from tissue_contact.files import publish
 from tissue_contact.identify.contact_fit import Options, Probe, fit_laws
 from tissue_contact.identify.laws import LAWS, Force
-from tissue_contact.identify.pool import Spread, pool
 from tissue_contact.identify.reading import Description, read, read_description
 from tissue_contact.identify.recording import Reading, Real
 from tissue_contact.identify.report import Curve, summary, write_report
 from tissue_contact.identify.result import Fitted, HeldOut, Result, write_result
 from tissue_contact.identify.rollouts import SceneMaker, drive_of, instrument_of, wanted_variables
-from tissue_contact.identify.scene_fit import Kept, Maker, SceneFit, SceneOptions, fit_scene, problem_of
+from tissue_contact.identify.scene_fit import Maker, SceneFit, SceneOptions, fit_scene, problem_of
 from tissue_contact.identify.touching import contact_of, of_depth, of_pose, of_tip
 from tissue_contact.identify.treatment import Treatment
 from tissue_contact.identify.write_scene import write_scene
+from tissue_contact.pool import Kept, Spread, pool
 from tissue_contact.scenarios.fmu_force import FmuMaker, variables_of
 from tissue_contact.scenarios.run import Interrupted, bar_of
 from tissue_contact.scene import Scene, read_scene

@@ -21,8 +21,9 @@ from tissue_contact.identify.least_squares import fit
 from tissue_contact.identify.reading import read
 from tissue_contact.identify.recording import Real
 from tissue_contact.identify.rollouts import SceneForce, SceneMaker, drive_of, wanted_variables
-from tissue_contact.identify.scene_fit import Kept, SceneOptions, fit_scene
+from tissue_contact.identify.scene_fit import SceneOptions, fit_scene
 from tissue_contact.identify.statistics import uncertainty
+from tissue_contact.pool import Kept
 from tissue_contact.scene import read_scene
 
 PROBING = Path(__file__).parent / "probing"

@@ -34,7 +34,7 @@ from tissue_contact.errors import InputError, WorkError
 from tissue_contact.kernels import slots
 from tissue_contact.kernels.collision import BODIES, FIELD
 from tissue_contact.kernels.laws import KELVIN_VOIGT
-from tissue_contact.kernels.step import SWING
+from tissue_contact.kernels.step import SWING, UNEXPLAINED
 from tissue_contact.scene import Scene, parse_scene
 from tissue_contact.simulate import Instance
 from tissue_contact.status import STATUSES
@@ -419,11 +419,11 @@ class Watch:
             depth, share = float(self.size[m.contact_body[k]]), self.share(instance, k)
             share = max(share, 2.0 * depth**2 if m.contact_response[k] >= FIELD else 1.0)
             found += share * self.law(instance.parameters, k, depth, 0.0) * depth
-        work = abs(energies[slots.ENERGY_WORK] - past[slots.ENERGY_WORK])
+        given = energies[slots.ENERGY_WORK] - past[slots.ENERGY_WORK]
         stored = sum(abs(past[k]) for k in (slots.ENERGY_KINETIC, slots.ENERGY_ELASTIC, slots.ENERGY_CONTACT))
         gained = past[slots.ENERGY_BALANCE] - energies[slots.ENERGY_BALANCE]
         gained += max(0.0, past[slots.ENERGY_DISSIPATED] - energies[slots.ENERGY_DISSIPATED])
-        allowed = max(SWING, float(m.energy_gain[0])) * (stored + work) + found
+        allowed = max(SWING, float(m.energy_gain[0])) * (stored + abs(given)) + found
         rounding = 1e-9 * (1.0 + abs(energies).max() + abs(past).max())
         if not gained <= allowed + rounding:
             raise Broken(f"{gained:g} J came from nowhere, {allowed:g} J can be explained")
@@ -432,6 +432,9 @@ class Watch:
         allowed = float(m.energy_gain[0]) * state.put_in[0] + found + float(m.safety[0]) * now
         if gained > rounding and not state.gained[0] <= allowed + rounding:
             raise Broken(f"{state.gained[0]:g} J came from nowhere since the start, {allowed:g} J can be explained")
+        allowed = (max(1.0, float(m.energy_gain[0])) + UNEXPLAINED) * state.put_in[0] + found
+        if given < 0.0 and not state.returned[0] <= allowed + rounding:
+            raise Broken(f"the bodies got back {state.returned[0]:g} J, {allowed:g} J can be explained")
 
 
 # --- calls --------------------------------------------------------------------------------------------------
@@ -616,7 +619,7 @@ class Player:
         for h in (1e-4, 1e-6, 1e-9, 1e-12, 1e-15, 1e-18):
             if self.call("step", h) == "done":
                 return
-        if self.calls[-1].outcome in ("too_many_pairs", "too_many_points", "energy_sum"):
+        if self.calls[-1].outcome in ("too_many_pairs", "too_many_points", "energy_sum", "energy_returned"):
             # The scene has no room for where the instruments are, or chatters there: only elsewhere it goes on.
             for i in range(len(self.scene.instrument)):
                 instance.inputs[7 * i] += 10.0 * (i + 1)

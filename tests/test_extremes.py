@@ -637,6 +637,28 @@ def test_slow_gain_over_many_steps_is_refused():
     assert pressed(chattering(1e3)) == (200, "")
 
 
+def test_bodies_get_back_no_more_than_was_put_in_and_one_late_find():
+    """In turn the tool is pressed in, and gets in between two detections, which gives it energy from nowhere."""
+    instance = instance_of(
+        "hull", stiffness=2.0, damping=0.0, height=0.001, tissue="support_stiffness = 1e6\nsupport_damping = 1e4",
+        solver='detection = "discrete"\ndetection_period = 0.004',
+    )  # fmt: skip
+    pressed = [-3, -3, -3, -3, -5, -8, -11, -14, -11, -8, -5, -3]
+    heights = pressed + [9, 9, 9, 9, -8, -8, -8, -8, 9, 9, 9, 9]
+    done = 0
+    with pytest.raises(WorkError) as caught:
+        for done in range(4000):
+            instance.inputs[2] = 1e-4 * heights[done % len(heights)]
+            instance.step(1e-3)
+    state = instance.state
+    assert status_of(caught.value) == "energy_returned" and done > 1000
+    assert state.put_in[0] < state.returned[0] <= 1.01 * state.put_in[0] + state.found[0]
+    assert state.gained[0] < state.put_in[0]  # which is no reason to refuse
+    assert state.found[0] <= 0.5 * 2.0 * 0.01**2  # N/m and m, of a contact at most as deep
+    instance.inputs[2] = state.pose[2]
+    instance.step(1e-3)  # where it stands it may stay
+
+
 def test_the_sum_of_gains_belongs_to_the_state():
     first = chattering(1.0)
     _, text = pressed(first)

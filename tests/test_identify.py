@@ -12,11 +12,11 @@ from tissue_contact.errors import InputError
 from tissue_contact.identify.contact_fit import Options, Probe, fit_laws
 from tissue_contact.identify.laws import LAWS, Force, Touches, constants_of, traced
 from tissue_contact.identify.least_squares import LOSSES, fit
-from tissue_contact.identify.pool import in_line, pool
 from tissue_contact.identify.recording import Recording
 from tissue_contact.identify.result import Fitted
 from tissue_contact.identify.statistics import uncertainty
 from tissue_contact.identify.touching import of_depth, of_pose, of_tip
+from tissue_contact.pool import in_line, pool
 from tissue_contact.scenarios.identification import TRUTH
 from tissue_contact.scenarios.identification import touches as sweep
 from tissue_contact.scene import parse_scene

@@ -12,7 +12,6 @@ from test_cli import command
 from tissue_contact.assemble import assemble
 from tissue_contact.errors import InputError
 from tissue_contact.identify import scene_fit
-from tissue_contact.identify.pool import pool
 from tissue_contact.identify.recording import Recording
 from tissue_contact.identify.result import read_result
 from tissue_contact.identify.rollouts import (
@@ -24,7 +23,8 @@ from tissue_contact.identify.rollouts import (
     instrument_of,
     wanted_variables,
 )
-from tissue_contact.identify.scene_fit import Kept, SceneOptions, fit_scene
+from tissue_contact.identify.scene_fit import SceneOptions, fit_scene
+from tissue_contact.pool import Kept, pool
 from tissue_contact.scenarios.fit import Request
 from tissue_contact.scenarios.fit import fit as fit_data
 from tissue_contact.scenarios.fmu_force import FmuForce, FmuMaker, variables_of

@@ -8,11 +8,11 @@ import numpy as np
 from tissue_contact.errors import InputError
 from tissue_contact.identify.laws import LAWS, VISCOUS, Constant, Force, Touches, constants_of
 from tissue_contact.identify.least_squares import Fit, fit
-from tissue_contact.identify.pool import Spread, in_line
 from tissue_contact.identify.recording import Real
 from tissue_contact.identify.result import Estimate, Fitted, HeldOut
 from tissue_contact.identify.statistics import folds
 from tissue_contact.identify.verdicts import estimates_of, numbers, tried
+from tissue_contact.pool import Spread, in_line
 from tissue_contact.settings import nearest
 
 EXPONENTS = (1.2, 2.0, 2.8)  # from which a fit starts, within the range of the scene

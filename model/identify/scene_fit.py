@@ -1,10 +1,8 @@
 """Identification of the parameters of a whole scene: rollouts against measured force, from many starts."""
 
 import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Protocol
 
 import casadi as ca
@@ -12,14 +10,13 @@ import numpy as np
 from scipy.stats import qmc
 
 from tissue_contact.errors import InputError
-from tissue_contact.files import publish
 from tissue_contact.identify.least_squares import Fit, fit, weights
-from tissue_contact.identify.pool import Spread, in_line
 from tissue_contact.identify.recording import Real
 from tissue_contact.identify.result import Fitted, HeldOut
 from tissue_contact.identify.rollouts import Drive, ForceModel, as_casadi
 from tissue_contact.identify.statistics import folds
 from tissue_contact.identify.verdicts import estimates_of, numbers, tried
+from tissue_contact.pool import Kept, Spread, in_line
 from tissue_contact.settings import nearest
 from tissue_contact.variables import Variable
 
@@ -54,38 +51,6 @@ class _Task:
     upper: Real
     loss: str
     unseen: Sequence[Drive] = ()
-
-
-class Kept:
-    """Results of tasks in a file, so that a fit that was interrupted goes on where it was."""
-
-    def __init__(self, path: Path, problem: str) -> None:
-        self.path, self._problem = path, problem
-        self.done: dict[str, Any] = {}
-        if path.is_file():
-            try:
-                kept = json.loads(path.read_bytes())
-            except ValueError:
-                kept = {}
-            # Of other data, another scene or other bounds it says nothing.
-            self.done = kept.get("done", {}) if kept.get("problem") == problem else {}
-
-    def spread(
-        self, spread: Spread, work: Callable[[Any], Any], tasks: Sequence[Any], keys: Sequence[str],
-        on_done: Callable[[], None],
-    ) -> list[Any]:  # fmt: skip
-        """Results of all tasks, of which only those are done that are not kept; every one is kept at once."""
-        open_ = [n for n, key in enumerate(keys) if key not in self.done]
-        for _ in range(len(keys) - len(open_)):
-            on_done()
-
-        def keep(n: int, result: Any) -> None:
-            self.done[keys[open_[n]]] = result
-            publish(self.path, json.dumps({"problem": self._problem, "done": self.done}).encode())
-            on_done()
-
-        spread(work, [tasks[n] for n in open_], keep)
-        return [self.done[key] for key in keys]
 
 
 class _Traced:

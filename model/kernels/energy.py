@@ -65,6 +65,8 @@ def weight_energy(model, parameters, state):
     """Energy of the tissue's weight [J], 0 at rest."""
     g = model.gravity
     total = 0.0
+    if g[0] == 0.0 and g[1] == 0.0 and g[2] == 0.0:
+        return total
     for n in range(model.tissue_rate.size):
         density = parameters[TISSUE_PARAMETERS * n + AREAL_DENSITY]
         for v in range(model.tissue_vertex_start[n], model.tissue_vertex_start[n + 1]):

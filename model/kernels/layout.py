@@ -191,7 +191,8 @@ class State(NamedTuple):
     energy_start: Real  # [J], shape [1], stored energy when the work began to be counted
     put_in: Real  # [J], shape [1], stored at the start, and put in by bodies, gravity and changed parameters since
     gained: Real  # [J], shape [1], from nowhere since the start, what dampers gave included
-    found: Real  # [J], shape [1], the most that one late detection may have found since the start
+    returned: Real  # [J], shape [1], negative work of the bodies since the start
+    found: Real  # [J], shape [1], the most that one late detection usually finds, since the start
 
 
 class Scratch(NamedTuple):

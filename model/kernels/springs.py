@@ -43,26 +43,15 @@ def add_stiffening_springs(first, last, i, j, rest, stiffness, scale, nonlineari
 
 
 @inner
-def largest_strain(first, last, i, j, rest, x, y, z):
-    """Largest e² of springs first to last."""
-    most = 0.0
+def stretch_range(first, last, i, j, rest, x, y, z):
+    """Least and greatest length over rest length of springs first to last."""
+    least, greatest = math.inf, 0.0
     for s in range(first, last):
         a, b = i[s], j[s]
         dx, dy, dz = x[b] - x[a], y[b] - y[a], z[b] - z[a]
-        strain = math.sqrt(dx * dx + dy * dy + dz * dz) / rest[s] - 1.0
-        most = max(most, strain * strain)
-    return most
-
-
-@inner
-def least_stretch(first, last, i, j, rest, x, y, z):
-    """Least length over rest length of springs first to last."""
-    least = math.inf
-    for s in range(first, last):
-        a, b = i[s], j[s]
-        dx, dy, dz = x[b] - x[a], y[b] - y[a], z[b] - z[a]
-        least = min(least, (dx * dx + dy * dy + dz * dz) / (rest[s] * rest[s]))
-    return math.sqrt(least)
+        square = (dx * dx + dy * dy + dz * dz) / (rest[s] * rest[s])
+        least, greatest = min(least, square), max(greatest, square)
+    return math.sqrt(least), math.sqrt(greatest)
 
 
 @inner

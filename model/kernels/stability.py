@@ -28,7 +28,7 @@ from tissue_contact.kernels.slots import (
     TISSUE_PARAMETERS,
     VOLUME_STIFFNESS,
 )
-from tissue_contact.kernels.springs import largest_strain, least_stretch
+from tissue_contact.kernels.springs import stretch_range
 
 SYMPLECTIC_EULER, EXPLICIT_EULER, IMPLICIT_EULER, RUNGE_KUTTA_4 = 0, 1, 2, 3  # what Model.integrator says
 
@@ -43,21 +43,7 @@ CRUSH_MAX = 4.0  # of a spring crushed to a fifth; a passage at nothing no step 
 def _of_tissue(model, parameters, state, n):
     """Stiffness [N/m³] and damping [N·s/m³] per area of a tissue's fastest motion, but for contacts and holds."""
     own = TISSUE_PARAMETERS * n
-    scale = parameters[own + STIFFNESS_SCALE]
-    if parameters[own + NONLINEARITY] > 0.0:
-        scale *= 1.0 + 3.0 * parameters[own + NONLINEARITY] * largest_strain(
-            model.tissue_spring_start[n],
-            model.tissue_spring_start[n + 1],
-            model.spring_i,
-            model.spring_j,
-            model.spring_rest,
-            state.x,
-            state.y,
-            state.z,
-        )
-    # Across a spring crushed to L of its length l the stiffness is k (l/L - 1), more than k below a half. What it once
-    # was stays counted: steps that grow and shrink in turn near their limit pump energy into the tissue.
-    stretch = least_stretch(
+    least, greatest = stretch_range(
         model.tissue_spring_start[n],
         model.tissue_spring_start[n + 1],
         model.spring_i,
@@ -67,7 +53,11 @@ def _of_tissue(model, parameters, state, n):
         state.y,
         state.z,
     )
-    crush = CRUSH_MAX if stretch * (1.0 + CRUSH_MAX) < 1.0 else 1.0 / stretch - 1.0
+    strain = max(1.0 - least, greatest - 1.0)
+    scale = parameters[own + STIFFNESS_SCALE] * (1.0 + 3.0 * parameters[own + NONLINEARITY] * strain * strain)
+    # Across a spring crushed to L of its length l the stiffness is k (l/L - 1), more than k below a half. What it once
+    # was stays counted: steps that grow and shrink in turn near their limit pump energy into the tissue.
+    crush = CRUSH_MAX if least * (1.0 + CRUSH_MAX) < 1.0 else 1.0 / least - 1.0
     state.crush[n] = max(1.0, state.crush[n], crush)
     stiffness = scale * state.crush[n] * model.tissue_rate[n] + parameters[own + SUPPORT_STIFFNESS]
     growth = 1.0

@@ -47,6 +47,7 @@ from tissue_contact.kernels.symplectic import symplectic_euler
 from tissue_contact.kernels.vectors import turn_between
 from tissue_contact.status import (
     ENERGY_GAIN,
+    ENERGY_RETURNED,
     ENERGY_SUM,
     NONFINITE_INPUT,
     NONFINITE_OUTPUT,
@@ -64,6 +65,7 @@ INPUT_MAX = 1e6  # [m, 1] size of an input: beyond any scene, and no square or p
 PLACE_MAX = 1e6  # [m] sum of the coordinates of a vertex
 STEP_MIN, STEP_MAX = 1e-100, 1e6  # [s] between them no speed overflows and no time is lost
 SWING = 10.0  # symplectic Euler at the share s of its stable limit lets the energy of a motion swing by 1 / (1 - s²)
+UNEXPLAINED = 0.01  # of what was put in that the bodies may get back without it: errors of the schemes
 ROUNDING = 1e-12  # of the energies that a balance is the difference of, and [J], that rounding may gain
 
 
@@ -221,24 +223,45 @@ def _clash(model, parameters, state, scratch, elapsed, dt):
 
 
 @inner
-def _energy_at(model, parameters, state, k, depth):
-    """Energy [J] of the spring of contact k at a depth [m], or where the body ends: tissue that flies off is no find.
-
-    A field presses on both sides of a fold as large as the greatest face of the body's box.
-    """
-    body, own = model.contact_body[k], contact_slots(model, k)
-    if model.contact_response[k] >= FIELD:
-        depth = min(depth, model.contact_depth[k])
-        size = 2.0 * body_face(model, body)
-    else:
-        depth = min(depth, body_size(model, body))
-        size = 0.0
-        first = model.contact_touch_start[k]
-        for m in range(first, first + state.touches[k]):
-            size += state.touch_share[m]
-        size = max(size, 1.0)
+def _energy_at(model, parameters, k, size, depth):
+    """Energy [J] of the spring of contact k at a depth [m] for a size, its share or its area."""
+    own = contact_slots(model, k)
     n = 1.0 if model.contact_law[k] == KELVIN_VOIGT else parameters[own + CONTACT_EXPONENT]
     return size * parameters[own + CONTACT_STIFFNESS] * depth ** (n + 1.0) / (n + 1.0)
+
+
+@inner
+def _finds(model, parameters, state, scratch, h, dt):
+    """Energy [J] that all contacts may find at once within a step h, and what they usually do.
+
+    A late detection finds a contact at the depth of the thinnest part and of the motion until then, or at the present
+    one. The depth of the thesis turns with the motion, and intersecting triangles are at once as deep as they reach:
+    both may find all of the body, but usually do not. A field that is looked for as far as the motion goes is found
+    within a substep. None is deeper than the body's size: tissue that flies off is no find. A field presses on both
+    sides of a fold as large as the greatest face of the body's box; of raw pairs one usually counts, or a slide could
+    find all of them again and again.
+    """
+    most, usual = 0.0, 0.0
+    for k in range(model.contact_body.size):
+        body, response = model.contact_body[k], model.contact_response[k]
+        way = travel(model, scratch, k, max(h, model.detection_period[0]))
+        depth, size, one = max(model.contact_reach[k] + way, state.deepest[k]), 0.0, 1.0
+        if response >= FIELD:
+            limit = model.contact_depth[k]
+            size = 2.0 * body_face(model, body)
+            one = size
+        else:
+            limit = body_size(model, body)
+            first = model.contact_touch_start[k]
+            for m in range(first, first + state.touches[k]):
+                size += state.touch_share[m]
+            size = max(size, 1.0)
+        whole = math.inf if response in (LITERAL, PRIMITIVE) else depth
+        most += _energy_at(model, parameters, k, size, min(whole, limit))
+        if model.continuous[0] == 1 and response >= FIELD:
+            depth = travel(model, scratch, k, dt)
+        usual += _energy_at(model, parameters, k, one, min(depth, limit))
+    return most, usual
 
 
 @inner
@@ -269,38 +292,31 @@ def _check_energy(model, parameters, state, scratch, h, dt, stored, work, gained
 
     A step: a swing of what was stored before it and of its ``work`` [J], and what late detections may find. All steps:
     what was put in, times a factor of the scene, what one late detection usually finds, at the fastest so far, and the
-    swing of what is ``stored`` now [J]. A step that gains nothing is done, whatever was before.
-
-    A late detection finds a contact at the depth of the thinnest part and of the motion until then, or at the present
-    one. The depth of the thesis turns with the motion, and intersecting triangles are at once as deep as they reach:
-    both may find all of the body, but usually do not. A field that is looked for as far as the motion goes is found
-    within a substep.
+    swing of what is ``stored`` now [J]. A step that gains nothing is done, whatever was before, unless the bodies have
+    got back more with it than was put in and what one late detection usually finds.
     """
-    found, usual = 0.0, 0.0
-    for k in range(model.contact_body.size):
-        response = model.contact_response[k]
-        way = travel(model, scratch, k, max(h, model.detection_period[0]))
-        depth = max(model.contact_reach[k] + way, state.deepest[k])
-        most = math.inf if response in (LITERAL, PRIMITIVE) else depth
-        found += _energy_at(model, parameters, state, k, most)
-        if model.continuous[0] == 1 and response >= FIELD:
-            depth = travel(model, scratch, k, dt)
-        usual += _energy_at(model, parameters, state, k, depth)
+    most, usual = _finds(model, parameters, state, scratch, h, dt)
     state.found[0] = max(state.found[0], usual)
     state.gained[0] += gained
+    state.returned[0] += max(0.0, -work)
     size = abs(state.stored[0]) + abs(work)
     rounding = ROUNDING * (1.0 + size + abs(state.work[0]) + state.dissipated[0])
-    allowed = max(SWING, model.energy_gain[0]) * size + found + rounding
+    allowed = max(SWING, model.energy_gain[0]) * size + most + rounding
     if not gained <= allowed:
         scratch.detail[0], scratch.detail[1] = gained, allowed
         return ENERGY_GAIN
-    allowed = model.energy_gain[0] * state.put_in[0] + state.found[0] + rounding
+    put_in, slack = state.put_in[0], state.found[0] + rounding
+    allowed = model.energy_gain[0] * put_in + slack
     if gained > rounding and state.gained[0] > allowed and model.integrator[0] == SYMPLECTIC_EULER:
         # An unstable motion is all swing, a stable one at the share s of its limit a share s at most.
         allowed += min(_swing(model, parameters, state, scratch, h, dt), model.safety[0] * stored)
     if gained > rounding and not state.gained[0] <= allowed:
         scratch.detail[0], scratch.detail[1] = state.gained[0], allowed
         return ENERGY_SUM
+    allowed = (max(1.0, model.energy_gain[0]) + UNEXPLAINED) * put_in + slack
+    if work < 0.0 and not state.returned[0] <= allowed:
+        scratch.detail[0], scratch.detail[1] = state.returned[0], allowed
+        return ENERGY_RETURNED
     return OK
 
 
@@ -329,6 +345,7 @@ def initialize(model, parameters, state, inputs, outputs, scratch):
     state.energy_start[0] = state.stored[0]
     state.put_in[0] = state.stored[0]
     state.gained[0] = 0.0
+    state.returned[0] = 0.0
     state.found[0] = 0.0
     outputs[BODY_OUTPUTS * (state.pose.size // POSE) + ENERGY_BALANCE] = 0.0
     return _check_outputs(outputs, scratch)

@@ -1,12 +1,15 @@
-"""Work spread over the cores of this machine, or over those of a dask cluster, in the order of the tasks."""
+"""Work spread over the cores of this machine, or over those of a dask cluster, and kept as soon as it is done."""
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any, TypeVar
 
 from tissue_contact.errors import InputError
+from tissue_contact.files import publish
 
 Task = TypeVar("Task")
 Done = TypeVar("Done")
@@ -83,3 +86,35 @@ def _cluster(address: str) -> Iterator[Spread]:
             return [future.result() for future in futures]
 
         yield spread
+
+
+class Kept:
+    """Results of tasks in a file, so that what was interrupted goes on where it was."""
+
+    def __init__(self, path: Path, problem: str) -> None:
+        self.path, self._problem = path, problem
+        self.done: dict[str, Any] = {}
+        if path.is_file():
+            try:
+                kept = json.loads(path.read_bytes())
+            except ValueError:
+                kept = {}
+            # Of another problem it says nothing.
+            self.done = kept.get("done", {}) if kept.get("problem") == problem else {}
+
+    def spread(
+        self, spread: Spread, work: Callable[[Any], Any], tasks: Sequence[Any], keys: Sequence[str],
+        on_done: Callable[[], None],
+    ) -> list[Any]:  # fmt: skip
+        """Results of all tasks, of which only those are done that are not kept; every one is kept at once."""
+        open_ = [n for n, key in enumerate(keys) if key not in self.done]
+        for _ in range(len(keys) - len(open_)):
+            on_done()
+
+        def keep(n: int, result: Any) -> None:
+            self.done[keys[open_[n]]] = result
+            publish(self.path, json.dumps({"problem": self._problem, "done": self.done}).encode())
+            on_done()
+
+        spread(work, [tasks[n] for n in open_], keep)
+        return [self.done[key] for key in keys]
