@@ -174,8 +174,8 @@ def test_claims_of_the_page_hold_in_its_data():
     round_tip = ("press", "slide", "tilt")
     assert max(runs[f"{case}, distance_field"]["error"] for case in round_tip) < 0.033
     assert max(runs[f"{case}, hull"]["error"] for case in ("press", "tilt")) < 0.03
-    assert min(runs[f"{case}, oobb"]["error"] for case in (*round_tip, "poke")) > 1.0
-    assert runs["late, hull, 1 kHz, 0"]["error"] < 0.05
+    assert min(runs[f"{case}, oobb"]["error"] for case in (*round_tip, "poke")) > 0.85
+    assert runs["late, hull, 1 kHz, 0"]["error"] < 0.055
     assert max(runs[f"late, distance_field, 30 Hz, {k}"]["error"] for k in accuracy.DELAYS) > 1.0
     # The reference is much nearer to its limit than what is compared with it.
     assert max(runs[f"{case}, reference, 24000"]["error"] for case in accuracy.CASES) < 0.02
