@@ -8,13 +8,20 @@ import numpy as np
 from tissue_contact import fields, geometry
 from tissue_contact.assembly import Assembly, start_values
 from tissue_contact.bodies import Body, body_of, polytopes, spacing_of
+from tissue_contact.elimination import Elimination, elimination
 from tissue_contact.errors import InputError
 from tissue_contact.geometry import FloatArray, IntArray
 from tissue_contact.kernels import slots
 from tissue_contact.kernels.collision import BODIES, FIELD, LITERAL, POLYTOPE, PRIMITIVE
 from tissue_contact.kernels.laws import HUNT_CROSSLEY, KELVIN_VOIGT
 from tissue_contact.kernels.layout import Model, Scratch, State, pack
-from tissue_contact.kernels.stability import EXPLICIT_EULER, IMPLICIT_EULER, RUNGE_KUTTA_4, SYMPLECTIC_EULER
+from tissue_contact.kernels.stability import (
+    EXPLICIT_EULER,
+    IMPLICIT_EULER,
+    PROJECTIVE_DYNAMICS,
+    RUNGE_KUTTA_4,
+    SYMPLECTIC_EULER,
+)
 from tissue_contact.scene import Scene
 from tissue_contact.sheets import Sheet, sheet_of
 from tissue_contact.table import Sizes, graspers_of, variable_table
@@ -26,9 +33,10 @@ RESPONSES = {
 LAWS = {"kelvin_voigt": KELVIN_VOIGT, "hunt_crossley": HUNT_CROSSLEY}
 INTEGRATORS = {
     "symplectic_euler": SYMPLECTIC_EULER, "explicit_euler": EXPLICIT_EULER, "implicit_euler": IMPLICIT_EULER,
-    "runge_kutta_4": RUNGE_KUTTA_4,
+    "runge_kutta_4": RUNGE_KUTTA_4, "projective_dynamics": PROJECTIVE_DYNAMICS,
 }  # fmt: skip
 
+PRESSED_ROWS = 96  # vertices that contacts may press at once in projective dynamics: 0.6 MB of matrices
 POINTS_OF_PAIR = 64  # pressed points of all contacts for every pair of solver.max_pairs: 8 MB at its default
 
 
@@ -48,7 +56,7 @@ def assemble(scene: Scene) -> Assembly:
     sizes, variables = Sizes(scene), variable_table(scene)
     model = _model(scene, sheets, bodies)
     packed_model, packed_state = pack(model), pack(_state(scene, model, sizes))
-    packed_scratch = pack(_scratch(scene, model))
+    packed_scratch = pack(_scratch(scene, model, sizes.parameters))
     return Assembly(
         scene.name,
         scene.description,
@@ -67,16 +75,24 @@ def assemble(scene: Scene) -> Assembly:
 
 
 def _check_scheme(scene: Scene) -> None:
-    """Refuse explicit Euler for a tissue that has a motion without damping, which it never keeps stable."""
-    if scene.solver.integrator != "explicit_euler" or scene.solver.substeps > 0:
-        return
+    """Refuse a scheme for tissues that it is never stable for, or that it does not know."""
+    place, scheme = f"{scene.place}, solver.integrator", scene.solver.integrator
     for tissue in scene.tissue:
-        if tissue.drag + tissue.support_damping == 0.0:
+        damped = tissue.drag + tissue.support_damping > 0.0
+        if scheme == "explicit_euler" and scene.solver.substeps == 0 and not damped:
             raise InputError(
-                f"{scene.place}, solver.integrator",
+                place,
                 "explicit_euler is stable only where every motion is damped",
                 f"neither drag nor support_damping of tissue {tissue.name}",
                 "Give one of them, fix solver.substeps, or take symplectic_euler",
+            )
+        effects = [e for e in ("nonlinearity", "area_stiffness", "volume_stiffness") if getattr(tissue, e) > 0.0]
+        if scheme == "projective_dynamics" and effects:
+            raise InputError(
+                place,
+                "the constant matrix of projective_dynamics knows no other forces in the tissue than linear springs",
+                f"{effects[0]} of tissue {tissue.name}",
+                "Remove it, or take implicit_euler",
             )
 
 
@@ -147,6 +163,7 @@ def _model(scene: Scene, sheets: list[Sheet], bodies: list[Body]) -> Model:
     contacts = _contacts(scene, sheets, bodies)
     return Model(
         **contacts,
+        **_factor(elimination(springs, free) if scene.solver.integrator == "projective_dynamics" else None),
         **_holds(scene, vertex_start),
         tissue_vertex_start=vertex_start,
         tissue_spring_start=_starts([len(s.springs) for s in sheets]),
@@ -175,6 +192,7 @@ def _model(scene: Scene, sheets: list[Sheet], bodies: list[Body]) -> Model:
         field_size=_joined([f.size for f in part_fields]),
         probe_triangle=probe_triangle,
         integrator=np.array([INTEGRATORS[scene.solver.integrator]]),
+        iterations=np.array([scene.solver.iterations]),
         continuous=np.array([scene.solver.detection == "continuous"]),
         substeps_fixed=np.array([scene.solver.substeps]),
         substeps_max=np.array([scene.solver.max_substeps]),
@@ -224,10 +242,16 @@ def _model(scene: Scene, sheets: list[Sheet], bodies: list[Body]) -> Model:
         sample_z=samples[:, 2],
         sample_area=_joined([b.sample_area for b in bodies]),
         probe_weight=probe_weight.ravel(),
+        step=np.array([scene.solver.step]),
         safety=np.array([scene.solver.safety]),
         detection_period=np.array([scene.solver.detection_period]),
         energy_gain=np.array([scene.solver.energy_gain]),
     )
+
+
+def _factor(found: Elimination | None) -> dict[str, Any]:
+    """Fields factor_ of the Model; empty where nothing is eliminated."""
+    return {f"factor_{name}": _joined([]) if found is None else getattr(found, name) for name in Elimination._fields}
 
 
 def _contacts(scene: Scene, sheets: list[Sheet], bodies: list[Body]) -> dict[str, Any]:
@@ -335,16 +359,19 @@ def _state(scene: Scene, model: Model, sizes: Sizes) -> State:
     return State(**start)
 
 
-def _scratch(scene: Scene, model: Model) -> Scratch:
+def _scratch(scene: Scene, model: Model, parameters: int) -> Scratch:
     bodies, vertices, springs = len(model.body_radius), len(model.rest_x), len(model.spring_i)
     capacity = max((end - begin for begin, end in pairwise(model.contact_touch_start)), default=0)
     cells = max((end - begin - 1 for begin, end in pairwise(model.grid_cell_start)), default=0)
-    implicit, symplectic = (scene.solver.integrator == f"{kind}_euler" for kind in ("implicit", "symplectic"))
+    projective, symplectic = (scene.solver.integrator == name for name in ("projective_dynamics", "symplectic_euler"))
+    implicit = projective or scene.solver.integrator == "implicit_euler"
     staged = implicit or scene.solver.integrator == "runge_kutta_4"
     solved = implicit or any(tissue.damping > 0.0 for tissue in scene.tissue)
     # every touch, every point of every tissue for each of its contacts, every anchor, as far as that is not absurd
     points = len(model.point_area) * len(scene.contact) + len(scene.contact) * capacity + int(model.grasp_start[-1])
     points = min(points, POINTS_OF_PAIR * scene.solver.max_pairs) if implicit or symplectic else 0
+    rows, entries = len(model.factor_vertex), len(model.factor_row)
+    pressed = min(rows, PRESSED_ROWS)
     sizes = {
         "cells": 3,
         "cell_stamp": cells,
@@ -365,6 +392,18 @@ def _scratch(scene: Scene, model: Model) -> Scratch:
         **dict.fromkeys(("along", "across"), springs if implicit else 0),
         **dict.fromkeys(("inverse_mass", "loss_now"), vertices if implicit else 0),
         "volume_gradient": 3 * vertices if implicit else 0,
+        "factor_key": 1 + parameters if projective else 0,
+        **dict.fromkeys(("factor_down", "factor_across"), entries),
+        **dict.fromkeys(("path", "touched_mark", "row_slot", "factor_inverse"), rows),
+        **dict.fromkeys(("right", "unit_right"), 4 * rows),
+        "row_press": 5 * rows,
+        "touched_count": 1,
+        "lane_slot": 4,
+        **dict.fromkeys(("touched", "slot_row", "slot_new"), pressed),
+        **dict.fromkeys(("push_row", "push_stiffness", "push_size"), 3 * pressed),
+        "push": 9 * pressed,
+        "compliance": pressed**2,
+        "push_matrix": (3 * pressed) ** 2,
     }
     groups = {
         "touch_": capacity, "pair_": capacity, "part_": len(model.part_reach), "active_": points,

@@ -392,9 +392,10 @@ class Solver(Settings):
         description="whether steps are cut so that little moves between two detections, or only the period counts",
     )
     max_pairs: int = quantity("1", 16, 1_000_000, "most intersecting triangle pairs of one contact", 1024)
-    integrator: Literal["symplectic_euler", "explicit_euler", "implicit_euler", "runge_kutta_4"] = Field(
-        "symplectic_euler", description="scheme in time"
-    )
+    integrator: Literal[
+        "symplectic_euler", "explicit_euler", "implicit_euler", "runge_kutta_4", "projective_dynamics"
+    ] = Field("symplectic_euler", description="scheme in time")
+    iterations: int = quantity("1", 1, 100, "iterations of a step of projective_dynamics", 3)
     energy_gain: float = quantity(
         "1",
         0,
@@ -414,6 +415,9 @@ class Solver(Settings):
                 "Raise max_substeps or lower substeps",
             )
             raise broken(("substeps",), "substeps must not exceed max_substeps", found, way_out)
+        if "iterations" in self.model_fields_set and self.integrator != "projective_dynamics":
+            rule = f"iterations has no meaning for integrator {self.integrator}"
+            raise broken(("iterations",), rule, show(self.iterations), "Remove it, or take projective_dynamics")
         return self
 
 

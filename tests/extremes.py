@@ -156,7 +156,15 @@ def case_of(seed: int, folder: Path) -> Case:
     for instrument in tables["instrument"]:
         if instrument["name"] in touched and not flat and draw.chance(0.25):
             instrument["grasp"] = _grasp(draw)
+    if draw.chance(0.2) and not any(t.get(effect) for t in tables["tissue"] for effect in NOT_PROJECTIVE):
+        # last of all, so that every seed keeps the rest of its scene
+        few = min(tables["solver"]["max_substeps"], 10)
+        tables["solver"] |= {"integrator": "projective_dynamics", "iterations": draw.integer(1, 8)}
+        tables["solver"] |= {"max_substeps": few, "substeps": min(tables["solver"]["substeps"], few)}
     return Case(scene_text({k: v for k, v in tables.items() if v}), flat)
+
+
+NOT_PROJECTIVE = ("nonlinearity", "area_stiffness", "volume_stiffness")  # which projective_dynamics refuses
 
 
 def _solver(draw: Draw) -> dict[str, Any]:

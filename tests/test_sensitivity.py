@@ -47,6 +47,7 @@ CASES = {
     "hull, Hunt-Crossley": {"contact": STIFFENING.format(1.5) + 'response = "hull"\nstiffness = 2e4'},
     "automatic substeps": {"contact": FIELD, "solver": ""},
     "implicit Euler": {"contact": FIELD, "solver": FIXED + 'integrator = "implicit_euler"'},
+    "projective dynamics": {"contact": FIELD, "solver": FIXED + 'integrator = "projective_dynamics"'},
     "Runge-Kutta": {"contact": HULL, "solver": 'substeps = 40\nintegrator = "runge_kutta_4"'},
     "explicit Euler": {"contact": FIELD, "solver": 'substeps = 100\nintegrator = "explicit_euler"'},
     "surface": {"contact": FIELD, "tissue": "nonlinearity = 500.0\narea_stiffness = 50.0"},

@@ -21,7 +21,8 @@ class Model(NamedTuple):
 
     Counts: V tissue vertices, S springs, T tissue triangles, N tissue points, n tissues; B bodies, that is I
     instruments and then the rigid bodies that do not move, P parts of bodies, W body vertices, U body triangles, M
-    sample points; K contacts; G holds (a grasper and a tissue), J graspers; Q probes. Tissues, and bodies, lie one
+    sample points; K contacts; G holds (a grasper and a tissue), J graspers; Q probes; F rows and N entries below
+    the diagonal of the factor of projective dynamics, of `elimination`. Tissues, and bodies, lie one
     after the other; ``*_start`` gives where each begins, with one entry more than there are. A triangle's corners are
     indices into all tissue (or all body) vertices. What no contact or effect of the scene asks for is empty.
     """
@@ -72,8 +73,17 @@ class Model(NamedTuple):
     grasp_tissue: Index  # shape [G]
     grasp_grasper: Index  # shape [G], which of the J graspers
     grasp_start: Index  # shape [G + 1], where a hold's anchors begin
+    factor_vertex: Index  # shape [F], vertex of each row of the factor
+    factor_place: Index  # shape [V], row of each vertex, F where it is fixed
+    factor_start: Index  # shape [F + 1], where the entries of a column begin
+    factor_row: Index  # shape [N], rows of the entries of each column
+    factor_across_start: Index  # shape [F + 1], where the entries of a row begin
+    factor_across_column: Index  # shape [N], columns of the entries of each row
+    factor_across_entry: Index  # shape [N], the entry's number by columns
+    factor_spring: Index  # shape [S], entry of each spring, N where an end is fixed
     probe_triangle: Index  # shape [Q]
-    integrator: Index  # shape [1], SYMPLECTIC_EULER to RUNGE_KUTTA_4 of `stability`
+    integrator: Index  # shape [1], SYMPLECTIC_EULER to PROJECTIVE_DYNAMICS of `stability`
+    iterations: Index  # shape [1], of a step of projective dynamics
     continuous: Index  # shape [1], 1: steps and detections follow the motion
     substeps_fixed: Index  # shape [1], 0: automatic
     substeps_max: Index  # shape [1]
@@ -136,6 +146,7 @@ class Model(NamedTuple):
     grasp_close: Real  # [1], shape [G], the jaws close below it
     grasp_open: Real  # [1], shape [G], the jaws open above it
     probe_weight: Real  # [1], shape [3 Q], areal coordinates
+    step: Real  # [s], shape [1], communication step that the scene foresees
     safety: Real  # [1], shape [1], share of the stable limit that is used
     detection_period: Real  # [s], shape [1], time between two collision detections
     energy_gain: Real  # [1], shape [1], energy that may come from nowhere over what was put in
@@ -196,10 +207,12 @@ class State(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Room to work in; meaningless between calls, but for ``detail`` after a status other than OK.
+    """Room to work in; meaningless between calls, but for ``detail`` after a status other than OK and for the factor,
+    which depends on nothing but the model, the parameters and the substep noted beside it.
 
     M is the most touches of a contact; C the most cells that a body's grid has; E the points that a substep of
-    symplectic or implicit Euler may press at once.
+    symplectic or implicit Euler, or projective dynamics, may press at once; F, N and D are 0 but for projective
+    dynamics, D the rows that contacts may press.
     """
 
     outcode: Index  # shape [V], which faces of the body's box a vertex lies beyond, a bit a face
@@ -215,6 +228,15 @@ class Scratch(NamedTuple):
     active_b: Index  # shape [E]
     active_c: Index  # shape [E]
     corner: Index  # shape [V where symplectic Euler meets a contact, else 0], corners of all pressed points, once each
+    path: Index  # shape [F], 1 where a row is reached by the elimination of some rows
+    touched: Index  # shape [D], rows that contacts and holds press, ascending
+    touched_mark: Index  # shape [F], 1 where a row is among them
+    touched_count: Index  # shape [1]
+    slot_row: Index  # shape [D], row whose compliances a slot holds, F if none
+    slot_new: Index  # shape [D], 1 where they are still to be found
+    row_slot: Index  # shape [F], slot of a row, D if none
+    lane_slot: Index  # shape [4]
+    push_row: Index  # shape [3 D]
     detail: Real  # shape [2], figures for the message of a status
     expansion: Real  # shape [256], exact arithmetic
     fx: Real  # [N], shape [V], force on a vertex
@@ -245,6 +267,18 @@ class Scratch(NamedTuple):
     volume_gradient: Real  # [m²], shape [3 V for implicit Euler, else 0]
     inverse_mass: Real  # [1/kg], shape [V for implicit Euler, else 0]
     loss_now: Real  # [J], shape as inverse_mass
+    factor_key: Real  # shape [1 + L], substep [s] and parameters that the factor is made of; kept between calls
+    factor_down: Real  # [1], shape [N], entries of the factor by columns; kept
+    factor_across: Real  # [1], shape [N], the same by rows; kept
+    factor_inverse: Real  # [1/kg], shape [F], inverse of its diagonal; kept
+    compliance: Real  # [1/kg], shape [D D], entries of the inverse matrix between the rows of two slots; kept
+    right: Real  # [kg·m/s], shape [4 F], right sides, x, y, z and padding of a row
+    unit_right: Real  # shape [4 F], right sides of single rows
+    row_press: Real  # shape [5 F], how a row is pressed: sum of directions, and stiffness along and across [kg]
+    push: Real  # [1], shape [9 D], directions in which touched rows are pressed
+    push_stiffness: Real  # [kg], shape [3 D]
+    push_size: Real  # [kg·m/s], shape [3 D]
+    push_matrix: Real  # [1/kg], shape [9 D D]
     active_wa: Real  # [1], shape [E], areal coordinates of a pressed point
     active_wb: Real  # [1], shape [E]
     active_wc: Real  # [1], shape [E]

@@ -30,7 +30,8 @@ from tissue_contact.kernels.slots import (
 )
 from tissue_contact.kernels.springs import stretch_range
 
-SYMPLECTIC_EULER, EXPLICIT_EULER, IMPLICIT_EULER, RUNGE_KUTTA_4 = 0, 1, 2, 3  # what Model.integrator says
+# what Model.integrator says
+SYMPLECTIC_EULER, EXPLICIT_EULER, IMPLICIT_EULER, RUNGE_KUTTA_4, PROJECTIVE_DYNAMICS = range(5)
 
 # |z| of the largest half disc of the left half plane within the region of stability of the classical Runge–Kutta
 # scheme is 2.6; it reaches -2.785 along the real axis and 2.828 along the imaginary one.
@@ -111,7 +112,7 @@ def stable_substep(model, parameters, state, scratch, h):
     """
     limit = math.inf
     scheme = model.integrator[0]
-    if scheme == IMPLICIT_EULER:
+    if scheme in (IMPLICIT_EULER, PROJECTIVE_DYNAMICS):
         return limit
     for n in range(model.tissue_rate.size):
         own = TISSUE_PARAMETERS * n

@@ -11,6 +11,7 @@ from tissue_contact.kernels.contact import contact_slots
 from tissue_contact.kernels.damping import count_damping, damp_contacts
 from tissue_contact.kernels.energy import weight_energy
 from tissue_contact.kernels.explicit import explicit_euler, runge_kutta
+from tissue_contact.kernels.factor import ready
 from tissue_contact.kernels.forces import (
     add_pulse,
     body_forces,
@@ -24,6 +25,7 @@ from tissue_contact.kernels.grasp import close, open_jaws, slide
 from tissue_contact.kernels.implicit import implicit_euler
 from tissue_contact.kernels.laws import KELVIN_VOIGT
 from tissue_contact.kernels.outputs import give
+from tissue_contact.kernels.projective import projective_dynamics
 from tissue_contact.kernels.slots import (
     AREAL_DENSITY,
     BODY_OUTPUTS,
@@ -37,6 +39,7 @@ from tissue_contact.kernels.slots import (
 from tissue_contact.kernels.stability import (
     EXPLICIT_EULER,
     IMPLICIT_EULER,
+    PROJECTIVE_DYNAMICS,
     RUNGE_KUTTA_4,
     SYMPLECTIC_EULER,
     motion_rate,
@@ -184,7 +187,14 @@ def _substeps(model, parameters, state, h, scratch):
         whole = math.ceil(needed) if needed < 1e15 else needed
         scratch.detail[0], scratch.detail[1] = whole, model.substeps_max[0]
         return 0
-    return max(1, math.ceil(needed))
+    substeps = max(1, math.ceil(needed))
+    if model.integrator[0] == PROJECTIVE_DYNAMICS:
+        # a factor serves one length of substep: few lengths, few factors
+        even = 1
+        while even < substeps:
+            even *= 2
+        substeps = min(even, int(model.substeps_max[0]))
+    return substeps
 
 
 @inner
@@ -193,8 +203,10 @@ def _substep(model, parameters, state, scratch, elapsed, dt):
     scheme = model.integrator[0]
     if scheme == RUNGE_KUTTA_4:
         runge_kutta(model, parameters, state, scratch, elapsed, dt)
-    elif scheme == IMPLICIT_EULER:
-        implicit_euler(model, parameters, state, scratch, elapsed, dt)
+    elif scheme in (IMPLICIT_EULER, PROJECTIVE_DYNAMICS):
+        # Where contacts press more of the tissue than there is room for, the same equations are solved the slow way.
+        if scheme == IMPLICIT_EULER or not projective_dynamics(model, parameters, state, scratch, elapsed, dt):
+            implicit_euler(model, parameters, state, scratch, elapsed, dt)
         add_pulse(scratch, dt)
     else:
         tissue_forces(model, parameters, state, scratch)
@@ -330,6 +342,9 @@ def initialize(model, parameters, state, inputs, outputs, scratch):
     if status != OK:
         return status
     _settle(state, scratch)
+    if model.integrator[0] == PROJECTIVE_DYNAMICS:
+        scratch.factor_key[0] = 0.0  # anew, whatever was before
+        ready(model, parameters, scratch, model.step[0])
     scratch.motion[:] = 0.0
     status = detect_all(model, state, scratch, 0.0)
     if status != OK:

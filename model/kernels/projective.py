@@ -1,0 +1,340 @@
+"""Projective dynamics: implicit Euler, M (v' - v) = dt f(x + dt v', v'), by a few quasi-Newton iterations.
+
+Each iteration solves with one constant matrix, `factor`, that bounds the springs' own from above: with every spring as
+stiff across as along (Liu, Bargteil, O'Brien and Kavan 2013). What the contacts add to the matrix reaches few vertices.
+It is taken in whole by the identity of Woodbury: with E the touched rows, H their stiffness and S = Eᵀ A⁻¹ E,
+
+    (A + E H Eᵀ)⁻¹ r = A⁻¹ (r - E y),    (H⁻¹ + S) y = Eᵀ A⁻¹ r.
+
+Of H only what lies on the diagonal of blocks counts, the sum of each row of the contacts' matrix: no less than that.
+"""
+
+import math
+
+from tissue_contact.kernels.compiled import inner
+from tissue_contact.kernels.factor import backward, backward_path, forward, forward_path, mark_path, ready
+from tissue_contact.kernels.forces import clear_contacts, contact_forces, tissue_forces
+from tissue_contact.kernels.slots import (
+    AREAL_DENSITY,
+    DAMPING_SCALE,
+    DRAG,
+    SUPPORT_DAMPING,
+    SUPPORT_STIFFNESS,
+    TISSUE_PARAMETERS,
+)
+from tissue_contact.kernels.springs import damp_product, directions
+
+FAINT = 1e-9  # of a row's diagonal in A, below which the stiffness of a contact is left out
+
+
+@inner
+def _place(state, scratch, dt, n):
+    """x = x0 + dt v, with x0 from scratch.start."""
+    start = scratch.start
+    for v in range(n):
+        state.x[v] = start[v] + dt * state.vx[v]
+        state.y[v] = start[n + v] + dt * state.vy[v]
+        state.z[v] = start[2 * n + v] + dt * state.vz[v]
+
+
+@inner
+def _damp(model, parameters, state, scratch, tissue, n):
+    """Whether the springs of a tissue are damped; if so, the damping force of its velocities in scratch.solve[3 n:]."""
+    scale = parameters[TISSUE_PARAMETERS * tissue + DAMPING_SCALE]
+    if scratch.solve.size == 0 or scale == 0.0:
+        return False
+    first, last = model.tissue_vertex_start[tissue], model.tissue_vertex_start[tissue + 1]
+    s_first, s_last = model.tissue_spring_start[tissue], model.tissue_spring_start[tissue + 1]
+    ux, uy, uz = scratch.unit_x, scratch.unit_y, scratch.unit_z
+    p, q = scratch.solve[: 3 * n], scratch.solve[3 * n : 6 * n]
+    for v in range(first, last):
+        p[v], p[n + v], p[2 * n + v] = state.vx[v], state.vy[v], state.vz[v]
+    directions(s_first, s_last, model.spring_i, model.spring_j, state.x, state.y, state.z, ux, uy, uz)
+    damp_product(
+        first, last, s_first, s_last, model.spring_i, model.spring_j, model.spring_damping, scale, ux, uy, uz,
+        model.node_free, p, q, n,
+    )  # fmt: skip
+    return True
+
+
+@inner
+def _residual(model, parameters, state, scratch, elapsed, dt, n):
+    """M (v0 - v) + dt f(x0 + dt v, v) of every row into scratch.right [N·s]."""
+    _place(state, scratch, dt, n)
+    tissue_forces(model, parameters, state, scratch)
+    clear_contacts(state, scratch)
+    contact_forces(model, parameters, state, scratch, elapsed + dt, dt, False)
+    start, right, g = scratch.start, scratch.right, model.gravity
+    for tissue in range(model.tissue_rate.size):
+        own = TISSUE_PARAMETERS * tissue
+        if _damp(model, parameters, state, scratch, tissue, n):
+            q = scratch.solve[3 * n : 6 * n]
+            for v in range(model.tissue_vertex_start[tissue], model.tissue_vertex_start[tissue + 1]):
+                scratch.fx[v] -= q[v]
+                scratch.fy[v] -= q[n + v]
+                scratch.fz[v] -= q[2 * n + v]
+        density, support = parameters[own + AREAL_DENSITY], dt * parameters[own + SUPPORT_STIFFNESS]
+        c = dt * (parameters[own + DRAG] + parameters[own + SUPPORT_DAMPING])
+        gx, gy, gz = dt * density * g[0], dt * density * g[1], dt * density * g[2]
+        for v in range(model.tissue_vertex_start[tissue], model.tissue_vertex_start[tissue + 1]):
+            row = model.factor_place[v]
+            if row == model.factor_vertex.size:
+                continue
+            a, o = model.node_area[v], 4 * row
+            vx, vy, vz = state.vx[v], state.vy[v], state.vz[v]
+            right[o] = dt * scratch.fx[v] + a * (
+                density * (start[3 * n + v] - vx) - support * (state.x[v] - model.rest_x[v]) - c * vx + gx
+            )
+            right[o + 1] = dt * scratch.fy[v] + a * (
+                density * (start[4 * n + v] - vy) - support * (state.y[v] - model.rest_y[v]) - c * vy + gy
+            )
+            right[o + 2] = dt * scratch.fz[v] + a * (
+                density * (start[5 * n + v] - vz) - support * (state.z[v] - model.rest_z[v]) - c * vz + gz
+            )
+            right[o + 3] = 0.0
+
+
+@inner
+def _lump(model, scratch, vertex, weight, k):
+    """Add the part of a pressed point k that one corner bears to the stiffness of the corner's row."""
+    row = model.factor_place[vertex]
+    if row == model.factor_vertex.size or weight <= 0.0:
+        return
+    press = scratch.row_press
+    along, across, o = scratch.active_normal[k], scratch.active_tangential[k], 5 * row
+    if scratch.touched_mark[row] == 0:
+        scratch.touched_mark[row] = 1
+        if scratch.touched_count[0] < scratch.touched.size:
+            scratch.touched[scratch.touched_count[0]] = row
+        scratch.touched_count[0] += 1
+        for e in range(5):
+            press[o + e] = 0.0
+    f = weight * along
+    press[o] += f * scratch.active_x[k]
+    press[o + 1] += f * scratch.active_y[k]
+    press[o + 2] += f * scratch.active_z[k]
+    press[o + 3] += f
+    press[o + 4] += weight * across
+
+
+@inner
+def _touched(model, scratch):
+    """Gather the stiffness that the pressed points give to rows, and which rows; their number."""
+    scratch.touched_count[0] = 0
+    for k in range(min(int(scratch.active[0]), scratch.active_a.size)):
+        _lump(model, scratch, scratch.active_a[k], scratch.active_wa[k], k)
+        _lump(model, scratch, scratch.active_b[k], scratch.active_wb[k], k)
+        _lump(model, scratch, scratch.active_c[k], scratch.active_wc[k], k)
+    count = int(scratch.touched_count[0])
+    for row in range(scratch.touched_mark.size):
+        scratch.touched_mark[row] = 0
+    # Ascending, so that what comes of them does not depend on which was touched first in an earlier step.
+    for k in range(1, min(count, scratch.touched.size)):
+        row, m = scratch.touched[k], k
+        while m > 0 and scratch.touched[m - 1] > row:
+            scratch.touched[m] = scratch.touched[m - 1]
+            m -= 1
+        scratch.touched[m] = row
+    return count
+
+
+@inner
+def _compliances(model, scratch, count):
+    """Have S of all touched rows at hand: columns of A⁻¹ of rows that were not touched before, four at once."""
+    rows, slots = model.factor_vertex.size, scratch.slot_row.size
+    work = scratch.unit_right
+    missing = 0
+    for k in range(count):
+        if scratch.row_slot[scratch.touched[k]] == slots:
+            missing += 1
+    if missing == 0:
+        return
+    free = 0
+    for k in range(count):
+        row = scratch.touched[k]
+        if scratch.row_slot[row] < slots:
+            continue
+        while True:  # the next slot whose row is not touched now
+            old = scratch.slot_row[free]
+            wanted = False
+            if old < rows:
+                for m in range(count):
+                    wanted = wanted or scratch.touched[m] == old
+            if not wanted:
+                break
+            free += 1
+        if scratch.slot_row[free] < rows:
+            scratch.row_slot[scratch.slot_row[free]] = slots
+        scratch.slot_row[free] = row
+        scratch.row_slot[row] = free
+        scratch.slot_new[free] = 1
+    for i in range(rows):
+        scratch.path[i] = 0
+    for m in range(slots):
+        if scratch.slot_row[m] < rows:
+            mark_path(model, scratch, int(scratch.slot_row[m]))
+    m = 0
+    while m < slots:
+        for i in range(rows):
+            if scratch.path[i] == 1:
+                for lane in range(4):
+                    work[4 * i + lane] = 0.0
+        lanes = 0
+        while m < slots and lanes < 4:
+            if scratch.slot_new[m] == 1:
+                work[4 * scratch.slot_row[m] + lanes] = 1.0
+                scratch.lane_slot[lanes] = m
+                scratch.slot_new[m] = 0
+                lanes += 1
+            m += 1
+        if lanes == 0:
+            return
+        forward_path(model, scratch, work)
+        backward_path(model, scratch, work, work)
+        for lane in range(lanes):
+            own = scratch.lane_slot[lane]
+            for other in range(slots):
+                if scratch.slot_row[other] < rows:
+                    value = work[4 * scratch.slot_row[other] + lane]
+                    scratch.compliance[own * slots + other] = value
+                    scratch.compliance[other * slots + own] = value
+
+
+@inner
+def _directions_of(scratch, row, out, m, stiffness):
+    """Directions in which a row is pressed and how stiffly, from place m on; the place after the last."""
+    press, o = scratch.row_press, 5 * row
+    nx, ny, nz, along, across = press[o], press[o + 1], press[o + 2], press[o + 3], press[o + 4]
+    norm = math.sqrt(nx * nx + ny * ny + nz * nz)
+    if norm > 0.0:
+        nx, ny, nz = nx / norm, ny / norm, nz / norm
+    if across <= 0.0 and norm > 0.0:
+        out[3 * m], out[3 * m + 1], out[3 * m + 2] = nx, ny, nz
+        stiffness[m] = along
+        return m + 1
+    if norm == 0.0:
+        nx, ny, nz = 0.0, 0.0, 1.0
+    # two more that are square to the first and to each other (Duff and others 2017)
+    sign = 1.0 if nz >= 0.0 else -1.0
+    a = -1.0 / (sign + nz)
+    b = nx * ny * a
+    out[3 * m], out[3 * m + 1], out[3 * m + 2] = nx, ny, nz
+    out[3 * m + 3], out[3 * m + 4], out[3 * m + 5] = 1.0 + sign * nx * nx * a, sign * b, -sign * nx
+    out[3 * m + 6], out[3 * m + 7], out[3 * m + 8] = b, sign + ny * ny * a, -ny
+    stiffness[m] = max(along, across)
+    stiffness[m + 1], stiffness[m + 2] = across, across
+    return m + 3
+
+
+@inner
+def _press_back(model, scratch, count):
+    """Take the stiffness of the touched rows into the solution: subtract L⁻¹ E y from the right sides L⁻¹ r."""
+    rows, slots = model.factor_vertex.size, scratch.slot_row.size
+    right, work = scratch.right, scratch.unit_right
+    _compliances(model, scratch, count)
+    for i in range(rows):
+        scratch.path[i] = 0
+    for k in range(count):
+        mark_path(model, scratch, int(scratch.touched[k]))
+    backward_path(model, scratch, right, work)
+    push, stiffness, y, matrix = scratch.push, scratch.push_stiffness, scratch.push_size, scratch.push_matrix
+    m = 0
+    for k in range(count):
+        row, before = int(scratch.touched[k]), m
+        m = _directions_of(scratch, row, push, m, stiffness)
+        for i in range(before, m):
+            scratch.push_row[i] = row
+            o = 4 * row
+            y[i] = push[3 * i] * work[o] + push[3 * i + 1] * work[o + 1] + push[3 * i + 2] * work[o + 2]
+    for i in range(m):
+        own = int(scratch.row_slot[scratch.push_row[i]]) * slots
+        for j in range(i + 1):
+            s = scratch.compliance[own + int(scratch.row_slot[scratch.push_row[j]])]
+            s *= push[3 * i] * push[3 * j] + push[3 * i + 1] * push[3 * j + 1] + push[3 * i + 2] * push[3 * j + 2]
+            matrix[i * m + j] = s
+        matrix[i * m + i] += 1.0 / max(stiffness[i], FAINT / scratch.factor_inverse[scratch.push_row[i]])
+    _cholesky_solve(matrix, y, m)
+    for i in range(rows):
+        if scratch.path[i] == 1:
+            for lane in range(4):
+                work[4 * i + lane] = 0.0
+    for i in range(m):
+        o = 4 * scratch.push_row[i]
+        for axis in range(3):
+            work[o + axis] += y[i] * push[3 * i + axis]
+    forward_path(model, scratch, work)
+    for i in range(rows):
+        if scratch.path[i] == 1:
+            for lane in range(3):
+                right[4 * i + lane] -= work[4 * i + lane]
+
+
+@inner
+def _cholesky_solve(a, y, m):
+    """Solve a y = y in place, a symmetric and positive definite, its lower half in rows of m."""
+    for i in range(m):
+        for j in range(i + 1):
+            s = a[i * m + j]
+            for k in range(j):
+                s -= a[i * m + k] * a[j * m + k]
+            a[i * m + j] = s / a[j * m + j] if j < i else math.sqrt(s)
+    for i in range(m):
+        s = y[i]
+        for k in range(i):
+            s -= a[i * m + k] * y[k]
+        y[i] = s / a[i * m + i]
+    for k in range(m):
+        i = m - 1 - k
+        s = y[i]
+        for j in range(i + 1, m):
+            s -= a[j * m + i] * y[j]
+        y[i] = s / a[i * m + i]
+
+
+@inner
+def projective_dynamics(model, parameters, state, scratch, elapsed, dt):
+    """One substep, from elapsed [s] after the last communication point; what the bodies feel is that of its end.
+
+    Returns
+    -------
+    bool
+        Whether it was done. If contacts press more vertices than there is room for, the state is as it was.
+    """
+    n, start, right = state.x.size, scratch.start, scratch.right
+    ready(model, parameters, scratch, dt)
+    for v in range(n):
+        start[v], start[n + v], start[2 * n + v] = state.x[v], state.y[v], state.z[v]
+        start[3 * n + v], start[4 * n + v], start[5 * n + v] = state.vx[v], state.vy[v], state.vz[v]
+    work, dissipated = state.work[0], state.dissipated[0]
+    for _ in range(model.iterations[0]):
+        _residual(model, parameters, state, scratch, elapsed, dt, n)
+        state.work[0], state.dissipated[0] = work, dissipated
+        count = _touched(model, scratch)
+        if count > scratch.touched.size:
+            for v in range(n):
+                state.x[v], state.y[v], state.z[v] = start[v], start[n + v], start[2 * n + v]
+                state.vx[v], state.vy[v], state.vz[v] = start[3 * n + v], start[4 * n + v], start[5 * n + v]
+            return False
+        forward(model, scratch)
+        if count > 0:
+            _press_back(model, scratch, count)
+        backward(model, scratch)
+        for row in range(model.factor_vertex.size):
+            v, o = model.factor_vertex[row], 4 * row
+            state.vx[v] += right[o]
+            state.vy[v] += right[o + 1]
+            state.vz[v] += right[o + 2]
+    _place(state, scratch, dt, n)
+    clear_contacts(state, scratch)
+    contact_forces(model, parameters, state, scratch, elapsed + dt, dt, False)
+    for tissue in range(model.tissue_rate.size):
+        own = TISSUE_PARAMETERS * tissue
+        c = dt * (parameters[own + DRAG] + parameters[own + SUPPORT_DAMPING])
+        damped = _damp(model, parameters, state, scratch, tissue, n)
+        for v in range(model.tissue_vertex_start[tissue], model.tissue_vertex_start[tissue + 1]):
+            vx, vy, vz = state.vx[v], state.vy[v], state.vz[v]
+            scratch.loss[v] += c * model.node_area[v] * (vx * vx + vy * vy + vz * vz)
+            if damped:
+                q = scratch.solve[3 * n : 6 * n]
+                scratch.loss[v] += dt * (vx * q[v] + vy * q[n + v] + vz * q[2 * n + v])
+    return True
