@@ -27,6 +27,7 @@ from tissue_contact.scene import parse_scene
 from tissue_contact.variables import Variable
 
 LEVELS = {"1.5K": 27, "6K": 55, "24K": 110, "96K": 219}  # cells along a side of the sheet, two triangles each
+COMPARED, ITERATIONS = "6K", (1, 2, 3)  # on which sheet projective dynamics is timed, and with how many iterations
 STEP = 1e-3  # s
 REPEATS = {"detection": 4, "response": 4, "tissue": 1}  # of a part, to time it: the more, the less it takes
 
@@ -34,6 +35,7 @@ SCENE = """
 name = "bench"
 [solver]
 max_substeps = 10000
+{solver}
 [[tissue]]
 {tissue}
 areal_density = 1.0
@@ -128,8 +130,8 @@ def part_times(assembly: Assembly, folder: Path, path: Real) -> dict[str, Real]:
     return times
 
 
-def level_result(text: str, folder: Path) -> dict[str, Any]:
-    """All figures of one mesh, in contact and out of it."""
+def level_result(text: str, folder: Path, parts: bool = True) -> dict[str, Any]:
+    """All figures of one mesh, in contact and out of it; those of the parts are of symplectic Euler."""
     assembly, fmu = built(text, folder)
     inputs = poses()[1:]
     outputs, ns = drive(fmu, inputs, STEP)
@@ -147,7 +149,7 @@ def level_result(text: str, folder: Path) -> dict[str, Any]:
         "step": figures(step),
         "step in contact": figures(step[touching]),
     }
-    for part, us in part_times(assembly, folder, inputs).items():
+    for part, us in part_times(assembly, folder, inputs).items() if parts else ():
         result[f"{part} in contact"] = figures(us[touching])
         result[f"{part} out of contact"] = figures(us[~touching])
     return result
@@ -171,11 +173,17 @@ def measure(levels: Sequence[str], say: Callable[[str], None]) -> dict[str, Any]
             say(f"{level} triangles")
             (folder / "sheet.obj").write_text(sheet(LEVELS[level]))
             tissue = MESH.format(name="sheet.obj")
-            results[level] = level_result(SCENE.format(tissue=tissue, contact=CONTACT), folder)
+            results[level] = level_result(SCENE.format(solver="", tissue=tissue, contact=CONTACT), folder)
+            if level == COMPARED:
+                for iterations in ITERATIONS:
+                    say(f"{level} triangles, projective_dynamics, {iterations} iterations")
+                    solver = f'integrator = "projective_dynamics"\niterations = {iterations}'
+                    text = SCENE.format(solver=solver, tissue=tissue, contact=CONTACT)
+                    results[f"{level} projective {iterations}"] = level_result(text, folder, parts=False)
         tissue = IRREGULAR.format(n=6000)
         for what, contact in (("6K irregular", CONTACT), ("6K irregular, no contact declared", "")):
             say(what)
-            results[what] = level_result(SCENE.format(tissue=tissue, contact=contact), folder)
+            results[what] = level_result(SCENE.format(solver="", tissue=tissue, contact=contact), folder)
     return results
 
 

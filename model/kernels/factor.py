@@ -2,8 +2,8 @@
 
 M are the masses, c [N·s/m³] drag and support together, L the Laplacian of the springs' stiffness, a part of it, their
 dampers over dt and the support. A is the same for x, y and z. Rows are the free vertices in an order of little fill,
-found at assembly with the places of all entries (`tissue_contact.elimination`). L is kept by rows, and by columns for
-right sides that are zero almost everywhere. Right sides lie four numbers a row: x, y, z and one of padding.
+found at assembly with the places of all entries (`tissue_contact.elimination`). L is kept twice, by columns and by
+rows, so that both substitutions gather. Right sides lie four numbers a row: x, y, z and one of padding.
 """
 
 from tissue_contact.kernels.compiled import inner
@@ -28,14 +28,14 @@ def ready(model, parameters, scratch, dt):
     """Factorise for a substep dt [s] and these parameters, where that is not what the factor is made of."""
     key = scratch.factor_key
     same = key[0] == dt
-    for k in range(parameters.size):
+    for k in range(key.size - 1):
         same = same and key[1 + k] == parameters[k]
     if same:
         return
     _fill(model, parameters, scratch, dt)
     _factorise(model, scratch)
     key[0] = dt
-    for k in range(parameters.size):
+    for k in range(key.size - 1):
         key[1 + k] = parameters[k]
     for k in range(scratch.slot_row.size):
         scratch.slot_row[k] = model.factor_vertex.size  # compliances of another matrix
@@ -94,50 +94,45 @@ def _factorise(model, scratch):
 
 
 @inner
+def _gather(right, o, scale, e, last, places, values):
+    """Scale a right side and subtract values times others, from entry e to the last, in four sums that do not wait."""
+    x, y, z, w = scale * right[o], scale * right[o + 1], scale * right[o + 2], scale * right[o + 3]
+    x1, y1, z1, w1 = 0.0, 0.0, 0.0, 0.0
+    x2, y2, z2, w2 = 0.0, 0.0, 0.0, 0.0
+    x3, y3, z3, w3 = 0.0, 0.0, 0.0, 0.0
+    while e + 4 <= last:
+        j, a = 4 * places[e], values[e]
+        x, y, z, w = x - a * right[j], y - a * right[j + 1], z - a * right[j + 2], w - a * right[j + 3]
+        j, a = 4 * places[e + 1], values[e + 1]
+        x1, y1, z1, w1 = x1 - a * right[j], y1 - a * right[j + 1], z1 - a * right[j + 2], w1 - a * right[j + 3]
+        j, a = 4 * places[e + 2], values[e + 2]
+        x2, y2, z2, w2 = x2 - a * right[j], y2 - a * right[j + 1], z2 - a * right[j + 2], w2 - a * right[j + 3]
+        j, a = 4 * places[e + 3], values[e + 3]
+        x3, y3, z3, w3 = x3 - a * right[j], y3 - a * right[j + 1], z3 - a * right[j + 2], w3 - a * right[j + 3]
+        e += 4
+    while e < last:
+        j, a = 4 * places[e], values[e]
+        x, y, z, w = x - a * right[j], y - a * right[j + 1], z - a * right[j + 2], w - a * right[j + 3]
+        e += 1
+    right[o], right[o + 1] = (x + x1) + (x2 + x3), (y + y1) + (y2 + y3)
+    right[o + 2], right[o + 3] = (z + z1) + (z2 + z3), (w + w1) + (w2 + w3)
+
+
+@inner
 def forward(model, scratch):
-    """L⁻¹ of the right sides, in place: each row gathers from those before it, in four sums that do not wait."""
-    right, places, values = scratch.right, model.factor_across_column, scratch.factor_across
+    """L⁻¹ of the right sides, in place."""
+    start = model.factor_across_start
     for i in range(model.factor_vertex.size):
-        e, last, o = model.factor_across_start[i], model.factor_across_start[i + 1], 4 * i
-        x, y, z, w = right[o], right[o + 1], right[o + 2], right[o + 3]
-        x1, y1, z1, w1 = 0.0, 0.0, 0.0, 0.0
-        x2, y2, z2, w2 = 0.0, 0.0, 0.0, 0.0
-        x3, y3, z3, w3 = 0.0, 0.0, 0.0, 0.0
-        while e + 4 <= last:
-            j, a = 4 * places[e], values[e]
-            x, y, z, w = x - a * right[j], y - a * right[j + 1], z - a * right[j + 2], w - a * right[j + 3]
-            j, a = 4 * places[e + 1], values[e + 1]
-            x1, y1, z1, w1 = x1 - a * right[j], y1 - a * right[j + 1], z1 - a * right[j + 2], w1 - a * right[j + 3]
-            j, a = 4 * places[e + 2], values[e + 2]
-            x2, y2, z2, w2 = x2 - a * right[j], y2 - a * right[j + 1], z2 - a * right[j + 2], w2 - a * right[j + 3]
-            j, a = 4 * places[e + 3], values[e + 3]
-            x3, y3, z3, w3 = x3 - a * right[j], y3 - a * right[j + 1], z3 - a * right[j + 2], w3 - a * right[j + 3]
-            e += 4
-        while e < last:
-            j, a = 4 * places[e], values[e]
-            x, y, z, w = x - a * right[j], y - a * right[j + 1], z - a * right[j + 2], w - a * right[j + 3]
-            e += 1
-        right[o], right[o + 1] = (x + x1) + (x2 + x3), (y + y1) + (y2 + y3)
-        right[o + 2], right[o + 3] = (z + z1) + (z2 + z3), (w + w1) + (w2 + w3)
+        _gather(scratch.right, 4 * i, 1.0, start[i], start[i + 1], model.factor_across_column, scratch.factor_across)
 
 
 @inner
 def backward(model, scratch):
-    """L⁻ᵀ D⁻¹ of the right sides, in place: each row gives to those before it; columns are too short to gather."""
-    right, rows = scratch.right, model.factor_vertex.size
-    for i in range(rows):
-        scale = scratch.factor_inverse[i]
-        for o in range(4 * i, 4 * i + 4):
-            right[o] *= scale
-    for k in range(rows):
-        i = rows - 1 - k
-        x, y, z, w = right[4 * i], right[4 * i + 1], right[4 * i + 2], right[4 * i + 3]
-        for e in range(model.factor_across_start[i], model.factor_across_start[i + 1]):
-            o, a = 4 * model.factor_across_column[e], scratch.factor_across[e]
-            right[o] -= a * x
-            right[o + 1] -= a * y
-            right[o + 2] -= a * z
-            right[o + 3] -= a * w
+    """L⁻ᵀ D⁻¹ of the right sides, in place."""
+    start, inverse = model.factor_start, scratch.factor_inverse
+    for k in range(model.factor_vertex.size):
+        i = model.factor_vertex.size - 1 - k
+        _gather(scratch.right, 4 * i, inverse[i], start[i], start[i + 1], model.factor_row, scratch.factor_down)
 
 
 @inner
