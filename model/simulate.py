@@ -7,10 +7,30 @@ import numpy as np
 
 from tissue_contact.assembly import Assembly
 from tissue_contact.errors import WorkError
+from tissue_contact.kernels import stability
 from tissue_contact.kernels.bundle import Bundle
+from tissue_contact.kernels.compiled import kernel
 from tissue_contact.kernels.layout import Index, Model, Real, Scratch, State
 from tissue_contact.kernels.step import initialize, step
-from tissue_contact.status import OK, PARAMETER_RANGE, STATUSES
+from tissue_contact.status import OK, PARAMETER_RANGE, STATUSES, Status
+
+
+class Refused(WorkError):
+    """A step that could not be done; ``status`` says why."""
+
+    def __init__(self, status: Status, detail: Real) -> None:
+        super().__init__(status.message % tuple(detail))
+        self.status, self._detail = status, detail.copy()
+
+    def __reduce__(self) -> tuple[type["Refused"], tuple[Status, Real]]:
+        """To another process as it was made: by default an error goes there as its message."""
+        return Refused, (self.status, self._detail)
+
+
+@kernel
+def _stable_substep(model, parameters, state, scratch, h):  # type: ignore[no-untyped-def]
+    """The kernel for Python, which only kernels may call."""
+    return stability.stable_substep(model, parameters, state, scratch, h)
 
 
 class Rollout(NamedTuple):
@@ -55,14 +75,18 @@ class Instance:
         """Return to a state that `copy_state` gave."""
         self._state.index[:], self._state.real[:] = saved
 
+    def stable_substep(self, h: float) -> float:
+        """Stable limit [s] of a substep in the present state, at the motion of the last step, within a step h [s]."""
+        return float(_stable_substep(self._model, self.parameters, self._state, self._scratch, h))
+
     def initialize(self) -> None:
-        """Put the instruments at the poses of the inputs; outputs follow. Raises WorkError."""
+        """Put the instruments at the poses of the inputs; outputs follow. Raises Refused."""
         before = self.copy_state()
         self.restore_state(self._start)
         self._do(self._initialize, (), before)
 
     def step(self, h: float) -> None:
-        """One communication step h [s]. Raises WorkError; the state from before the step then stays."""
+        """One communication step h [s]. Raises Refused; the state from before the step then stays."""
         self._do(self._step, (h,), self.copy_state())
 
     def _do(self, entry: Callable[..., int], more: tuple[float, ...], saved: tuple[Index, Real]) -> None:
@@ -72,7 +96,7 @@ class Instance:
         if status != OK:
             self.restore_state(saved)
             self.outputs[:] = given
-            raise WorkError(STATUSES[status].message % tuple(self.scratch.detail))
+            raise Refused(STATUSES[status], self.scratch.detail)
 
     def _check_parameters(self) -> int:
         """Hold the parameters to their ranges, as the FMU does when they are set; the status."""
