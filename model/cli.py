@@ -217,6 +217,94 @@ def fit(
     )
 
 
+@_command("tissue-contact stability scene.toml --x step --y stiffness=10:1000 -o stability")
+def stability(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")],
+    x: Annotated[
+        str, typer.Option(metavar="AXIS[=LOW:HIGH]", help="Constant along x; a range round the scene's own by default.")
+    ] = "step",
+    y: Annotated[str, typer.Option(metavar="AXIS[=LOW:HIGH]", help="Constant along y.")] = "stiffness",
+    grid: Annotated[int, typer.Option(min=2, max=1000, help="Values on each axis.")] = 16,
+    integrator: Annotated[
+        list[str] | None, typer.Option(help="Scheme in time, may be given several times. All of them by default.")
+    ] = None,
+    substeps: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="one a step, for the limit of the scheme, or automatic; may be given twice, both by default."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Number that picks the random motion.")] = 0,
+    depth: Annotated[float | None, typer.Option(min=1e-6, max=1, help="Way of the press beyond the touch [m].")] = None,
+    haptic: Annotated[bool, typer.Option("--haptic", help="Close the loop with a haptic device instead.")] = False,
+    device_mass: Annotated[float, typer.Option(min=1e-4, max=100, help="Mass of the device [kg].")] = 0.1,
+    device_damping: Annotated[float, typer.Option(min=1e-4, max=1e4, help="Damping of the device [N.s/m].")] = 0.5,
+    hand_mass: Annotated[float, typer.Option(min=0, max=100, help="Mass of the hand on the device [kg].")] = 0.0,
+    hand_damping: Annotated[float, typer.Option(min=0, max=1e4, help="Damping of that hand [N.s/m].")] = 0.0,
+    quantum: Annotated[float, typer.Option(min=0, max=0.01, help="Step of the encoder [m], 0 for none.")] = 0.0,
+    push: Annotated[
+        float | None, typer.Option(min=1e-6, max=1e3, help="Steady force of the hand [N]; a light one by default.")
+    ] = None,
+    delay: Annotated[
+        list[float] | None,
+        typer.Option(min=0, max=0.1, help="Delay of the force [s], may be given several times; 0, 0.001 and 0.005."),
+    ] = None,
+    virtual_damping: Annotated[
+        list[float] | None,
+        typer.Option(min=0, max=1e5, help="Damping of the contact [N.s/m], may be given several times."),
+    ] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(min=1e-6, max=1e3, help="Speed of a press [m/s], or of the device at the touch, 0.5 and 0."),
+    ] = None,
+    instrument: Annotated[str | None, typer.Option(metavar="NAME", help="Instrument that presses.")] = None,
+    axis: Annotated[
+        tuple[float, float, float], typer.Option(metavar="X Y Z", help="Direction of the press in the world.")
+    ] = (0.0, 0.0, -1.0),
+    workers: Annotated[int, typer.Option(min=1, max=1024, help="Processes to spread the work over.")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to spread the work over instead.")
+    ] = None,
+    progress: Annotated[bool, typer.Option(help="Show a progress bar on a terminal.")] = True,
+) -> None:
+    """Map where a scene is stable, or how stiff a contact a haptic device bears.
+
+    Axes: step, stiffness, damping, support_damping, density, contact_stiffness, speed, detection_period. Exit code 1
+    when the automatic choice of substeps is unstable somewhere.
+    """
+    from tissue_contact.scenarios.stability import HapticRequest, MapRequest
+    from tissue_contact.scenarios.stability import stability as study
+
+    common: dict[str, Any] = {
+        "scene": scene, "output": output, "instrument": instrument, "axis": axis, "workers": workers,
+        "scheduler": scheduler, "progress": progress,
+    }  # fmt: skip
+    request: Any
+    if haptic:
+        request = HapticRequest(
+            **common, mass=device_mass, damping=device_damping, hand_mass=hand_mass, hand_damping=hand_damping,
+            quantum=quantum, push=push, delays=tuple(delay or (0.0, 1e-3, 5e-3)), virtual=tuple(virtual_damping or ()),
+            speed=speed or 0.0,
+        )  # fmt: skip
+    else:
+        ranges = {name: _ranges([word], name, 2) for name, word in (("--x", x), ("--y", y)) if "=" in word}
+        spans = {name: next(iter(span.values())) for name, span in ranges.items()}
+        more: dict[str, Any] = {"integrators": tuple(integrator)} if integrator else {}
+        if substeps:
+            more["kinds"] = tuple(substeps)
+        request = MapRequest(
+            **common, x=x.partition("=")[0], y=y.partition("=")[0], x_range=_pair(spans.get("--x")),
+            y_range=_pair(spans.get("--y")), grid=grid, seed=seed, depth=depth, speed=speed or 0.5, **more,
+        )  # fmt: skip
+    if not study(request):
+        raise typer.Exit(1)
+
+
+def _pair(span: list[float] | None) -> tuple[float, float] | None:
+    return (span[0], span[1]) if span else None
+
+
 @_command("tissue-contact mesh liver.stl --scale 0.001 --repair liver-mended.stl")
 def mesh(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="STL, OBJ, PLY or OFF file.")],

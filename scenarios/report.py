@@ -120,10 +120,11 @@ def history(trace: Trace, bodies: Sequence[str], title: str) -> bytes:
     figure.legend(labelled.values(), labelled.keys(), loc="outside lower center", frameon=False, ncols=len(labelled))
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(time[0], time[-1])
-    return _png(figure)
+    return png(figure)
 
 
-def _png(figure: Figure) -> bytes:
+def png(figure: Figure) -> bytes:
+    """A figure as the bytes of a PNG file."""
     file = io.BytesIO()
     # Without matplotlib's version in it the same picture is the same file.
     figure.savefig(file, format="png", dpi=DOTS_PER_INCH, facecolor="white", metadata={"Software": None})
@@ -173,7 +174,7 @@ def still(scene: Scene) -> bytes:
     axes = figure.add_axes((0.02, 0.02, 0.96, 0.96))
     axes.imshow(image, interpolation="antialiased")
     axes.set_axis_off()
-    return _png(figure)
+    return png(figure)
 
 
 def _joined(surfaces: Sequence[Surface]) -> Mesh:
@@ -236,7 +237,7 @@ def picture(
         legend = figure.add_axes(((width + 0.25) / total[0], 0.25, 0.2 / total[0], 0.5))
         figure.colorbar(ScalarMappable(span, DISPLACEMENT_COLOURS), cax=legend, label="displacement of the tissue [mm]")
     figure.suptitle(title, y=1 - 0.18 / total[1], fontsize=12, va="top")
-    return _png(figure)
+    return png(figure)
 
 
 def _scene(

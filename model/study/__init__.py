@@ -1,0 +1,1 @@
+"""Studies: the trade between speed and accuracy, maps of stability."""
