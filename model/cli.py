@@ -2,7 +2,7 @@
 
 import functools
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -18,6 +18,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Contact between surgical instruments and soft tissue, built as an FMI 2.0 co-simulation FMU.",
 )
+
+SCENARIO_HELP = "Folder or file of a scenario, or the name of a shipped one."
 
 
 def _command(example: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -79,7 +81,7 @@ def build(
 def run(
     scenario: Annotated[
         str,
-        typer.Argument(metavar="SCENARIO", help="Folder or file of a scenario, or the name of a shipped one."),
+        typer.Argument(metavar="SCENARIO", help=SCENARIO_HELP),
     ],
     output: Annotated[
         Path | None,
@@ -181,13 +183,10 @@ def fit(
     from tissue_contact.identify.least_squares import LOSSES
     from tissue_contact.scenarios.fit import Request
     from tissue_contact.scenarios.fit import fit as fit_data
-    from tissue_contact.settings import nearest
 
     for option, words, known in (("--law", law or [], tuple(LAWS)), ("--loss", [loss], LOSSES)):
         for word in words:
-            if word not in known:
-                way_out = nearest(word, known, what="values")
-                raise InputError(option, f"the value must be {' or '.join(known)}", word, way_out)
+            _check_word(option, word, known)
     fit_data(
         Request(
             data=data,
@@ -215,6 +214,83 @@ def fit(
             progress=progress,
         )
     )
+
+
+@_command("tissue-contact trade press -o build/press-trade --workers 2")
+def trade(
+    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help=SCENARIO_HELP)],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder for the results, build/NAME-trade by default."),
+    ] = None,
+    measure: Annotated[str, typer.Option(help="Error of the front: force, peak, impulse, depth or torque.")] = "force",
+    runs: Annotated[int, typer.Option(min=1, max=10_000, help="Most configurations to try.")] = 60,
+    rounds: Annotated[int, typer.Option(min=1, max=100, help="Timed runs of each, of which the fastest counts.")] = 3,
+    refine: Annotated[
+        float, typer.Option(min=4, max=256, help="Triangles of the reference for each of the scene's.")
+    ] = 16.0,
+    workers: Annotated[int, typer.Option(min=1, max=1024, help="Processes to spread the runs over.")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to spread the runs over instead.")
+    ] = None,
+    progress: Annotated[bool, typer.Option(help="Show a progress bar on a terminal.")] = True,
+) -> None:
+    """Sweep what costs time and what errs in a scenario: table, CSV, figure and what to choose."""
+    _check_word("--measure", measure, _measures())
+    from tissue_contact.scenarios.scenario import read_scenario
+    from tissue_contact.scenarios.trade import Request
+    from tissue_contact.scenarios.trade import trade as trade_scenario
+
+    read = read_scenario(scenario)
+    request = Request(measure, runs, rounds, refine, workers, scheduler, progress)
+    trade_scenario(read, output or Path("build") / f"{read.name}-trade", request)
+
+
+@_command("tissue-contact tune press --budget-us 200 -o fast.toml")
+def tune(
+    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help=SCENARIO_HELP)],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="SCENE.toml", help="Scene file to write.")],
+    budget_us: Annotated[
+        float | None,
+        typer.Option(metavar="US", min=1e-3, help="Time of a step in contact [µs]: the most accurate within it."),
+    ] = None,
+    error: Annotated[
+        str | None, typer.Option(metavar="SHARE", help="Error, such as 1%: the fastest within it.")
+    ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of trade, whose runs are used again; build/NAME-trade by default."),
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="The output may be the scenario's own scene.")] = False,
+    measure: Annotated[str, typer.Option(help="Error: force, peak, impulse, depth or torque.")] = "force",
+    runs: Annotated[int, typer.Option(min=1, max=10_000, help="Most configurations to try.")] = 60,
+    rounds: Annotated[int, typer.Option(min=1, max=100, help="Timed runs of each, of which the fastest counts.")] = 3,
+    refine: Annotated[
+        float, typer.Option(min=4, max=256, help="Triangles of the reference for each of the scene's.")
+    ] = 16.0,
+    workers: Annotated[int, typer.Option(min=1, max=1024, help="Processes to spread the runs over.")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to spread the runs over instead.")
+    ] = None,
+    progress: Annotated[bool, typer.Option(help="Show a progress bar on a terminal.")] = True,
+) -> None:
+    """Write the scene that is most accurate within a time, or fastest within an error."""
+    _check_word("--measure", measure, _measures())
+    from tissue_contact.scenarios.scenario import read_scenario
+    from tissue_contact.scenarios.trade import Request
+    from tissue_contact.scenarios.tune import Wish
+    from tissue_contact.scenarios.tune import tune as tune_scenario
+
+    wish = Wish.of(budget_us, error)
+    read = read_scenario(scenario)
+    request = Request(measure, runs, rounds, refine, workers, scheduler, progress)
+    tune_scenario(read, data or Path("build") / f"{read.name}-trade", request, wish, output, overwrite)
+
+
+def _measures() -> tuple[str, ...]:
+    from tissue_contact.study.deviation import MEASURES
+
+    return MEASURES
 
 
 @_command("tissue-contact stability scene.toml --x step --y stiffness=10:1000 -o stability")
@@ -368,6 +444,15 @@ def schema() -> None:
 
 def _tell(text: str) -> None:
     typer.echo(text, err=True)
+
+
+def _check_word(option: str, word: str, known: Sequence[str]) -> None:
+    """Refuse a word that an option does not know."""
+    from tissue_contact.settings import nearest
+
+    if word not in known:
+        way_out = nearest(word, known, what="values")
+        raise InputError(option, f"the value must be {' or '.join(known)}", word, way_out)
 
 
 def _assignments(words: list[str], option: str = "--set") -> dict[str, float]:

@@ -28,7 +28,7 @@ start_position = [0, 0, 0.001]
 stiffness_per_area = 1e7
 """
 SCENARIO = '[[expect]]\noutput = "instrument.force[3]"\nstatistic = "max"\nat_most = 1.0\n'
-COMMANDS = ("build", "run", "check", "fit", "stability", "mesh", "schema")
+COMMANDS = ("build", "run", "check", "fit", "trade", "tune", "stability", "mesh", "schema")
 
 
 def command(*words: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
