@@ -1,10 +1,13 @@
 """The committed pages: the reference is what the code gives, and every link and picture is there."""
 
 import importlib.util
+import json
 import re
 from pathlib import Path
 
 import pytest
+
+from tissue_contact.study.front import percent
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(path for pattern in ("*.md", "docs/**/*.md", "scenarios/*/README.md") for path in ROOT.glob(pattern))
@@ -55,3 +58,12 @@ def test_every_page_and_picture_is_linked():
     folder = ROOT / "docs"
     shown = {*folder.rglob("*.md"), *folder.rglob("*.png")}
     assert sorted(p for p in shown if p.resolve() not in targets) == []
+
+
+def test_the_page_of_the_trade_says_what_its_data_say():
+    data = json.loads((ROOT / "docs" / "data" / "trade-press.json").read_text("utf-8"))
+    page = " ".join((ROOT / "docs" / "trade.md").read_text("utf-8").split())
+    assert data["advice"] in page
+    for point in data["points"]:
+        if point["front"]:
+            assert f"| {point['label']} | {point['us']:,.0f} | {percent(point['error']['force'])} |" in page

@@ -20,6 +20,7 @@ from tissue_contact.surfaces import surface_of
 
 SAFETIES = (0.95, 0.7, 0.5, 0.25)  # of symplectic Euler, shares of its stable limit
 IMPLICIT_SUBSTEPS = (1, 2, 4)
+PROJECTIVE_ITERATIONS = (1, 2, 3, 5)
 MESH_FACTORS = (1 / 8, 1 / 4, 1 / 2, 2, 4)  # on the number of triangles
 SPACING_FACTORS = (1 / 2, 2, 4)
 PERIOD_FACTORS = (1 / 4, 4)
@@ -149,7 +150,17 @@ def _integration(scene: Scene, known: Grounds) -> Choices:
         f"implicit_euler, {n} substep{'s' * (n > 1)}": {"integrator": "implicit_euler", "substeps": n}
         for n in IMPLICIT_SUBSTEPS
     }
-    return {label: [Edit(("solver", k), v) for k, v in keys.items()] for label, keys in schemes.items()}
+    schemes |= {
+        f"projective_dynamics, {n} iteration{'s' * (n > 1)}": {
+            "integrator": "projective_dynamics", "substeps": 0, "iterations": n,
+        }
+        for n in PROJECTIVE_ITERATIONS
+    }  # fmt: skip
+    # iterations have no meaning for any other
+    return {
+        label: [Edit(("solver", k), v) for k, v in ({"iterations": None} | keys).items()]
+        for label, keys in schemes.items()
+    }
 
 
 def _response(scene: Scene, known: Grounds) -> Choices:
