@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import spline_filter
 
+# numba must know duals before it reads what is cached of them: learning of them in between confuses it
+import tissue_contact.kernels.dual  # noqa: F401
 from tissue_contact.geometry import FloatArray, IntArray, Surface, triangle_areas
 from tissue_contact.kernels.field import BOX, CAPSULE, CYLINDER, GRID
 from tissue_contact.kernels.sampling import sample

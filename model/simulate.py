@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+# numba must know duals before it reads what is cached of them: learning of them in between confuses it
+import tissue_contact.kernels.dual  # noqa: F401
 from tissue_contact.assembly import Assembly
 from tissue_contact.errors import WorkError
 from tissue_contact.kernels import stability

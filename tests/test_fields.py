@@ -1,6 +1,10 @@
 """Signed distance fields against closed forms, brute force and scipy; k-DOPs and quadrature against definitions."""
 
+import os
 import re
+import subprocess
+import sys
+import textwrap
 from functools import partial
 from types import SimpleNamespace
 
@@ -508,3 +512,29 @@ def test_quadrature_of_a_square_gets_better_with_its_spacing():
         _, weight, area = fields.quadrature(surface, 1.0001 * np.sqrt(2) / n)
         error.append(abs(np.sum(area * weight[:, 1] ** 2) - 1 / 12))
     np.testing.assert_allclose(np.array(error[:-1]) / error[1:], 4.0, rtol=1e-9)
+
+
+def test_a_field_is_sampled_beside_what_is_cached_of_duals(tmp_path):
+    """numba met duals in what it had cached of an inner kernel, halfway through the types of another."""
+    of_duals = """
+        from numba import types
+        from tissue_contact.kernels.dual import DUAL
+        from tissue_contact.kernels.vectors import dot
+        vector = types.UniTuple(DUAL, 3)
+        dot.compile((vector, vector))
+    """
+    of_numbers = """
+        from numba import types
+        from tissue_contact.fields import sample
+        real, array = types.float64, types.float64[::1]
+        sample.compile((array, array, types.UniTuple(real, 3), types.UniTuple(types.int64, 3), real, array))
+    """
+    for script in (of_duals, of_numbers):
+        done = subprocess.run(
+            [sys.executable, "-c", textwrap.dedent(script)],
+            env=os.environ | {"TISSUE_CONTACT_CACHE": str(tmp_path)},
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+    assert list(tmp_path.rglob("*dot*.nbi"))
