@@ -9,6 +9,8 @@ from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import spsolve
 
 from tissue_contact.errors import InputError
+from tissue_contact.fmu.build import build
+from tissue_contact.fmu.native import drive, host_platform
 from tissue_contact.kernels import factor, slots
 from tissue_contact.kernels.compiled import kernel
 from tissue_contact.simulate import Instance, rollout
@@ -166,6 +168,15 @@ def test_a_state_given_back_goes_on_bit_by_bit_whatever_was_touched_since():
         instance.inputs[:] = row
         instance.step(1e-3)
         assert instance.outputs.tobytes() == before.tobytes()
+
+
+def test_the_fmu_steps_as_python_does(tmp_path):
+    assembly = scene()
+    fmu = build(assembly, tmp_path / "projective.fmu", [host_platform()])
+    expected = rollout(assembly, pressed(), 1e-3).outputs[1:]
+    force = vector(assembly, "instrument.force")
+    assert np.linalg.norm(expected[:, force], axis=1).max() > 0.005
+    assert np.array_equal(drive(fmu, pressed()[1:], 1e-3)[0], expected)
 
 
 def test_a_changed_parameter_and_another_step_make_another_factor():

@@ -157,10 +157,8 @@ def _integration(scene: Scene, known: Grounds) -> Choices:
         for n in PROJECTIVE_ITERATIONS
     }  # fmt: skip
     # iterations have no meaning for any other
-    return {
-        label: [Edit(("solver", k), v) for k, v in ({"iterations": None} | keys).items()]
-        for label, keys in schemes.items()
-    }
+    without: dict[str, Any] = {"iterations": None} if scene.solver.integrator == "projective_dynamics" else {}
+    return {label: [Edit(("solver", k), v) for k, v in (without | keys).items()] for label, keys in schemes.items()}
 
 
 def _response(scene: Scene, known: Grounds) -> Choices:
