@@ -2,7 +2,7 @@
 
 import functools
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -19,7 +19,19 @@ app = typer.Typer(
     help="Contact between surgical instruments and soft tissue, built as an FMI 2.0 co-simulation FMU.",
 )
 
-SCENARIO_HELP = "Folder or file of a scenario, or the name of a shipped one."
+# Options that several commands take.
+ScenarioName = Annotated[
+    str, typer.Argument(metavar="SCENARIO", help="Folder or file of a scenario, or the name of a shipped one.")
+]
+Workers = Annotated[int, typer.Option(min=1, max=1024, help="Processes to spread the work over.")]
+Scheduler = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to spread the work over instead.")
+]
+ProgressBar = Annotated[bool, typer.Option(help="Show a progress bar on a terminal.")]
+Measure = Annotated[str, typer.Option(help="Error to go by: force, peak, impulse, depth or torque.")]
+Runs = Annotated[int, typer.Option(min=1, max=10_000, help="Most configurations to try.")]
+Rounds = Annotated[int, typer.Option(min=1, max=100, help="Timed runs of each, of which the fastest counts.")]
+Refine = Annotated[float, typer.Option(min=4, max=256, help="Triangles of the reference for each of the scene's.")]
 
 
 def _command(example: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -79,10 +91,7 @@ def build(
 
 @_command("tissue-contact run press -o results --set contact.stiffness=300")
 def run(
-    scenario: Annotated[
-        str,
-        typer.Argument(metavar="SCENARIO", help=SCENARIO_HELP),
-    ],
+    scenario: ScenarioName,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="DIR", help="Folder for the results, build/NAME by default."),
@@ -96,7 +105,7 @@ def run(
         typer.Option(metavar="RESULT", help="Result of a fit, whose parameters are set; --set goes before them."),
     ] = None,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
-    progress: Annotated[bool, typer.Option(help="Show a progress bar on a terminal.")] = True,
+    progress: ProgressBar = True,
 ) -> None:
     """Run a scenario: CSV, figures and a summary. Exit code 1 when an expectation fails."""
     values = _assignments(set_ or [])
@@ -169,24 +178,23 @@ def fit(
     folds: Annotated[int, typer.Option(min=2, max=100, help="Parts of which each is held out in turn.")] = 5,
     starts: Annotated[int, typer.Option(min=1, max=1000, help="Fits of a whole model, each from elsewhere.")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="Number that picks folds and starts.")] = 0,
-    workers: Annotated[int, typer.Option(min=1, max=1024, help="Processes to spread the work over.")] = 1,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to spread the work over instead.")
-    ] = None,
+    workers: Workers = 1,
+    scheduler: Scheduler = None,
     write_scene: Annotated[
         Path | None, typer.Option(metavar="OUT.toml", help="Write the scene with the constants that were found.")
     ] = None,
-    progress: Annotated[bool, typer.Option(help="Show a progress bar on a terminal.")] = True,
+    progress: ProgressBar = True,
 ) -> None:
     """Identify constants from measured force: of a contact law alone, or with --parameter of a whole model."""
     from tissue_contact.identify.laws import LAWS
     from tissue_contact.identify.least_squares import LOSSES
     from tissue_contact.scenarios.fit import Request
     from tissue_contact.scenarios.fit import fit as fit_data
+    from tissue_contact.settings import check_word
 
     for option, words, known in (("--law", law or [], tuple(LAWS)), ("--loss", [loss], LOSSES)):
         for word in words:
-            _check_word(option, word, known)
+            check_word(option, word, known)
     fit_data(
         Request(
             data=data,
@@ -218,25 +226,21 @@ def fit(
 
 @_command("tissue-contact trade press -o build/press-trade --workers 2")
 def trade(
-    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help=SCENARIO_HELP)],
+    scenario: ScenarioName,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="DIR", help="Folder for the results, build/NAME-trade by default."),
     ] = None,
-    measure: Annotated[str, typer.Option(help="Error of the front: force, peak, impulse, depth or torque.")] = "force",
-    runs: Annotated[int, typer.Option(min=1, max=10_000, help="Most configurations to try.")] = 60,
-    rounds: Annotated[int, typer.Option(min=1, max=100, help="Timed runs of each, of which the fastest counts.")] = 3,
-    refine: Annotated[
-        float, typer.Option(min=4, max=256, help="Triangles of the reference for each of the scene's.")
-    ] = 16.0,
-    workers: Annotated[int, typer.Option(min=1, max=1024, help="Processes to spread the runs over.")] = 1,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to spread the runs over instead.")
-    ] = None,
-    progress: Annotated[bool, typer.Option(help="Show a progress bar on a terminal.")] = True,
+    measure: Measure = "force",
+    runs: Runs = 60,
+    rounds: Rounds = 3,
+    refine: Refine = 16.0,
+    workers: Workers = 1,
+    scheduler: Scheduler = None,
+    progress: ProgressBar = True,
 ) -> None:
     """Sweep what costs time and what errs in a scenario: table, CSV, figure and what to choose."""
-    _check_word("--measure", measure, _measures())
+    _check_measure(measure)
     from tissue_contact.scenarios.scenario import read_scenario
     from tissue_contact.scenarios.trade import Request
     from tissue_contact.scenarios.trade import trade as trade_scenario
@@ -248,7 +252,7 @@ def trade(
 
 @_command("tissue-contact tune press --budget-us 200 -o fast.toml")
 def tune(
-    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help=SCENARIO_HELP)],
+    scenario: ScenarioName,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="SCENE.toml", help="Scene file to write.")],
     budget_us: Annotated[
         float | None,
@@ -262,20 +266,16 @@ def tune(
         typer.Option(metavar="DIR", help="Folder of trade, whose runs are used again; build/NAME-trade by default."),
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="The output may be the scenario's own scene.")] = False,
-    measure: Annotated[str, typer.Option(help="Error: force, peak, impulse, depth or torque.")] = "force",
-    runs: Annotated[int, typer.Option(min=1, max=10_000, help="Most configurations to try.")] = 60,
-    rounds: Annotated[int, typer.Option(min=1, max=100, help="Timed runs of each, of which the fastest counts.")] = 3,
-    refine: Annotated[
-        float, typer.Option(min=4, max=256, help="Triangles of the reference for each of the scene's.")
-    ] = 16.0,
-    workers: Annotated[int, typer.Option(min=1, max=1024, help="Processes to spread the runs over.")] = 1,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to spread the runs over instead.")
-    ] = None,
-    progress: Annotated[bool, typer.Option(help="Show a progress bar on a terminal.")] = True,
+    measure: Measure = "force",
+    runs: Runs = 60,
+    rounds: Rounds = 3,
+    refine: Refine = 16.0,
+    workers: Workers = 1,
+    scheduler: Scheduler = None,
+    progress: ProgressBar = True,
 ) -> None:
     """Write the scene that is most accurate within a time, or fastest within an error."""
-    _check_word("--measure", measure, _measures())
+    _check_measure(measure)
     from tissue_contact.scenarios.scenario import read_scenario
     from tissue_contact.scenarios.trade import Request
     from tissue_contact.scenarios.tune import Wish
@@ -287,10 +287,11 @@ def tune(
     tune_scenario(read, data or Path("build") / f"{read.name}-trade", request, wish, output, overwrite)
 
 
-def _measures() -> tuple[str, ...]:
+def _check_measure(measure: str) -> None:
+    from tissue_contact.settings import check_word
     from tissue_contact.study.deviation import MEASURES
 
-    return MEASURES
+    check_word("--measure", measure, MEASURES)
 
 
 @_command("tissue-contact stability scene.toml --x step --y stiffness=10:1000 -o stability")
@@ -338,11 +339,9 @@ def stability(
     axis: Annotated[
         tuple[float, float, float], typer.Option(metavar="X Y Z", help="Direction of the press in the world.")
     ] = (0.0, 0.0, -1.0),
-    workers: Annotated[int, typer.Option(min=1, max=1024, help="Processes to spread the work over.")] = 1,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to spread the work over instead.")
-    ] = None,
-    progress: Annotated[bool, typer.Option(help="Show a progress bar on a terminal.")] = True,
+    workers: Workers = 1,
+    scheduler: Scheduler = None,
+    progress: ProgressBar = True,
 ) -> None:
     """Map where a scene is stable, or how stiff a contact a haptic device bears.
 
@@ -444,15 +443,6 @@ def schema() -> None:
 
 def _tell(text: str) -> None:
     typer.echo(text, err=True)
-
-
-def _check_word(option: str, word: str, known: Sequence[str]) -> None:
-    """Refuse a word that an option does not know."""
-    from tissue_contact.settings import nearest
-
-    if word not in known:
-        way_out = nearest(word, known, what="values")
-        raise InputError(option, f"the value must be {' or '.join(known)}", word, way_out)
 
 
 def _assignments(words: list[str], option: str = "--set") -> dict[str, float]:

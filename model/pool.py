@@ -1,5 +1,6 @@
 """Work spread over the cores of this machine, or over those of a dask cluster, and kept as soon as it is done."""
 
+import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -7,6 +8,8 @@ from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
+
+import numpy as np
 
 from tissue_contact.errors import InputError
 from tissue_contact.files import publish
@@ -118,3 +121,12 @@ class Kept:
 
         spread(work, [tasks[n] for n in open_], keep)
         return [self.done[key] for key in keys]
+
+
+def problem_of(*parts: object) -> str:
+    """Digest of all that some work depends on, for `Kept`."""
+    own = hashlib.sha256()
+    for part in parts:
+        own.update(part.tobytes() if isinstance(part, np.ndarray) else repr(part).encode())
+        own.update(b"\0")
+    return own.hexdigest()

@@ -6,7 +6,7 @@ needs them (the variable table, the docs), and `validate` for its messages.
 
 import difflib
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -146,6 +146,13 @@ def nearest(word: str, known: Iterable[str], *, what: str = "names") -> str:
     if near:
         return f"The nearest right spelling is {near[0]}"
     return f"Known {what}: {', '.join(known)}" if known else f"There are no {what} here"
+
+
+def check_word(option: str, word: str, known: Collection[str]) -> None:
+    """Refuse a word that an option does not know, with InputError."""
+    if word not in known:
+        way_out = nearest(word, known, what="values")
+        raise InputError(option, f"the value must be {' or '.join(known)}", word, way_out)
 
 
 def _input_error(table: type[Settings], data: dict[str, Any], place: str, error: ErrorDetails) -> InputError:

@@ -22,13 +22,13 @@ from tissue_contact.identify.recording import Reading, Real
 from tissue_contact.identify.report import Curve, summary, write_report
 from tissue_contact.identify.result import Fitted, HeldOut, Result, write_result
 from tissue_contact.identify.rollouts import SceneMaker, drive_of, instrument_of, wanted_variables
-from tissue_contact.identify.scene_fit import Maker, SceneFit, SceneOptions, fit_scene, problem_of
+from tissue_contact.identify.scene_fit import Maker, SceneFit, SceneOptions, fit_scene
 from tissue_contact.identify.touching import contact_of, of_depth, of_pose, of_tip
 from tissue_contact.identify.treatment import Treatment
 from tissue_contact.identify.write_scene import write_scene
-from tissue_contact.pool import Kept, Spread, pool
+from tissue_contact.pool import Kept, Spread, pool, problem_of
 from tissue_contact.scenarios.fmu_force import FmuMaker, variables_of
-from tissue_contact.scenarios.run import Interrupted, bar_of
+from tissue_contact.scenarios.run import bar_of, interrupted
 from tissue_contact.scene import Scene, read_scene
 from tissue_contact.settings import validate
 from tissue_contact.table import camel
@@ -106,8 +106,7 @@ def fit(request: Request) -> Result:
             else:
                 found = _law_alone(request, scene, reading, spread, bar)
     except KeyboardInterrupt as error:
-        said = f"Kept what is finished in {kept}: the same command goes on there" if kept.is_file() else "Nothing kept"
-        raise Interrupted(f"interrupted. {said}") from error
+        raise interrupted(kept, kept.is_file()) from error
     result = Result(
         data=tuple(str(p) for p in request.data),
         probes=len(reading.recordings),

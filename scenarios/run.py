@@ -47,6 +47,12 @@ class Interrupted(KeyboardInterrupt):
     """The user stopped a run; the message says what was kept."""
 
 
+def interrupted(kept: Path, there: bool) -> Interrupted:
+    """What to raise when the user stops work that goes on from a file, if anything is there."""
+    said = f"Kept what is finished in {kept}: the same command goes on there" if there else "Nothing kept"
+    return Interrupted(f"interrupted. {said}")
+
+
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """What a run came to."""

@@ -23,13 +23,12 @@ from tissue_contact.assemble import INTEGRATORS, assemble
 from tissue_contact.assembly import Assembly
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.files import publish
-from tissue_contact.identify.scene_fit import problem_of
 from tissue_contact.kernels.layout import Real
-from tissue_contact.pool import Kept, Spread, pool
+from tissue_contact.pool import Kept, Spread, pool, problem_of
 from tissue_contact.scenarios.report import png
-from tissue_contact.scenarios.run import Interrupted, bar_of
+from tissue_contact.scenarios.run import bar_of, interrupted
 from tissue_contact.scene import Contact, FixedBox, Scene, Solver, Tissue, read_scene
-from tissue_contact.settings import nearest, setting
+from tissue_contact.settings import check_word, nearest, setting
 from tissue_contact.simulate import Instance
 from tissue_contact.study import z_width as widths
 from tissue_contact.study.haptic import Device, exact_stiffness, passive_stiffness
@@ -127,8 +126,7 @@ def stability(request: MapRequest | HapticRequest) -> bool:
             else:
                 told, files, holds = _haptic(request, scene, runner)
     except KeyboardInterrupt as error:
-        said = f"Kept what is finished in {kept}: the same command goes on there" if kept.is_file() else "Nothing kept"
-        raise Interrupted(f"interrupted. {said}") from error
+        raise interrupted(kept, kept.is_file()) from error
     kept.unlink(missing_ok=True)
     out = Console()
     for part in told:
@@ -186,10 +184,14 @@ def _varied(scene: Scene, tissue: Mapping[str, object], solver: Mapping[str, obj
 
 
 def _maps(request: MapRequest, scene: Scene, runner: _Runner) -> tuple[list[Any], dict[str, bytes], bool]:
-    _check_words("--integrator", request.integrators, tuple(INTEGRATORS))
-    _check_words("--substeps", request.kinds, KINDS)
-    for option, word in (("--x", request.x), ("--y", request.y)):
-        _check_words(option, [word], tuple(AXES))
+    for option, words, known in (
+        ("--integrator", request.integrators, INTEGRATORS),
+        ("--substeps", request.kinds, KINDS),
+        ("--x", [request.x], AXES),
+        ("--y", [request.y], AXES),
+    ):
+        for word in words:
+            check_word(option, word, known)
     if request.x == request.y:
         raise InputError("--y", "the axes must be two", request.y, f"Take another of {', '.join(AXES)}")
     first = assemble(_varied(scene, {}, {"integrator": "symplectic_euler", "substeps": 1}))
@@ -247,13 +249,6 @@ def _maps(request: MapRequest, scene: Scene, runner: _Runner) -> tuple[list[Any]
         files[f"{kind}.png"] = draw_maps([m for m in maps if m.automatic == (kind == "automatic")], units, scene.name)
     told = [_screen(maps), f"seed {request.seed}", *_sentences(maps, units)]
     return told, files, not any(m.automatic and m.count(UNSTABLE) for m in maps)
-
-
-def _check_words(option: str, words: Sequence[str], known: Sequence[str]) -> None:
-    for word in words:
-        if word not in known:
-            way_out = nearest(word, known, what="values")
-            raise InputError(option, f"the value must be {' or '.join(known)}", word, way_out)
 
 
 def _limit_at_rest(assembly: Assembly) -> float:

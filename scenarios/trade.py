@@ -22,12 +22,12 @@ from tissue_contact.fmu.compile import shared_library
 from tissue_contact.pool import Kept, Spread, in_line, pool
 from tissue_contact.scenarios.outcome import FloatArray
 from tissue_contact.scenarios.run import (
-    Interrupted,
     bar_of,
     communication_points,
     drive,
     empty_trace,
     instance_of,
+    interrupted,
     scene_key,
 )
 from tissue_contact.scenarios.scenario import Scenario
@@ -266,8 +266,7 @@ def measured(scenario: Scenario, folder: Path, request: Request) -> Measured:
             more(request.rounds * len(jobs), "timing, one at a time")
             times = timed(jobs, request.rounds, kept, lambda: bar.advance(task))
     except KeyboardInterrupt as error:
-        said = f"Kept what is finished in {kept.path}: the same command goes on there" if kept.done else "Nothing kept"
-        raise Interrupted(f"interrupted. {said}") from error
+        raise interrupted(kept.path, bool(kept.done)) from error
     return Measured(search.sweep(times), search.true)
 
 

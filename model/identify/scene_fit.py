@@ -1,6 +1,5 @@
 """Identification of the parameters of a whole scene: rollouts against measured force, from many starts."""
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -180,15 +179,6 @@ def fit_scene(
     held_out = (tried("scene", "probes", errors),) if errors else ()
     grid = (np.array(points), np.array(costs)) if costs else None
     return SceneFit(fitted, held_out, values, force, measured, runs, grid)
-
-
-def problem_of(*parts: object) -> str:
-    """Digest of all that a fit depends on, for `Kept`."""
-    own = hashlib.sha256()
-    for part in parts:
-        own.update(part.tobytes() if isinstance(part, np.ndarray) else repr(part).encode())
-        own.update(b"\0")
-    return own.hexdigest()
 
 
 def _limits(variable: Variable, options: SceneOptions) -> tuple[float, float]:
