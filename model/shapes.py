@@ -175,16 +175,16 @@ def _relaxed(rim: FloatArray, inner: FloatArray, to_space: Callable[[FloatArray]
         triangles = _delaunay(plan)
         corner = to_space(plan)[triangles]
         area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-        plan[fixed:] = _middle(triangles, plan[triangles].mean(axis=1), area, len(plan))[fixed:]
+        plan[fixed:] = _middle(triangles, plan[triangles].mean(axis=1), area, plan)[fixed:]
     return Surface(to_space(plan), _delaunay(plan))
 
 
-def _middle(triangles: IntArray, centre: FloatArray, weight: FloatArray, n: int) -> FloatArray:
-    """For every vertex the weighted mean of its triangles' centres."""
-    corners = triangles.ravel()
-    total = np.bincount(corners, np.repeat(weight, 3), n)
-    sums = [np.bincount(corners, np.repeat(weight * x, 3), n) for x in centre.T]
-    return np.column_stack(sums) / total[:, None]
+def _middle(triangles: IntArray, centre: FloatArray, weight: FloatArray, vertices: FloatArray) -> FloatArray:
+    """For every vertex the weighted mean of its triangles' centres; a vertex of none stays."""
+    corners, n = triangles.ravel(), len(vertices)
+    total = np.bincount(corners, np.repeat(weight, 3), n)[:, None]
+    sums = np.column_stack([np.bincount(corners, np.repeat(weight * x, 3), n) for x in centre.T])
+    return np.divide(sums, total, out=vertices.copy(), where=total > 0)
 
 
 def abdominal_wall(
@@ -315,7 +315,7 @@ def ellipsoid(radii: float | Sequence[float], triangles: int, seed: int = 0) -> 
         hull = _swapped(vertices, _hull(vertices))
         corner = vertices[hull]
         area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-        vertices = lifted(_middle(hull, lifted(corner.mean(axis=1)), area, n))
+        vertices = lifted(_middle(hull, lifted(corner.mean(axis=1)), area, vertices))
     surface = Surface(vertices, _swapped(vertices, _hull(vertices)))
     full = 4 / 3 * np.pi * half.prod()
     rule = "must suffice for half the ellipsoid's volume"

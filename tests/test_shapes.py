@@ -344,6 +344,8 @@ def test_hook():
         (lambda: shapes.ellipsoid(0.1, 19), "ellipsoid, triangles: .*at least 20"),
         (lambda: shapes.ellipsoid((1, 1, 0.01), 100), "ellipsoid, radii: .*20 times"),
         (lambda: shapes.ellipsoid((0.1, 0.02, 0.01), 40), "half the ellipsoid's volume.*more triangles"),
+        # a vertex falls out of the hull
+        (lambda: shapes.ellipsoid((0.0054463, 0.0077810, 0.0021285), 20), "half the ellipsoid's volume"),
         (lambda: shapes.abdominal_wall(0.1, 50, 0.01, 0.02), "abdominal_wall, triangles"),
         (lambda: shapes.abdominal_wall(0.1, 500, 0.04, 0.04), "abdominal_wall, opening_radius: .*2.8 times"),
         (lambda: shapes.abdominal_wall(0.1, 500, 0.01, 0.07), "abdominal_wall, sac_depth: .*0.5 to 6"),
