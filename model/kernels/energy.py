@@ -12,7 +12,7 @@ from tissue_contact.kernels.slots import (
     TISSUE_PARAMETERS,
     VOLUME_STIFFNESS,
 )
-from tissue_contact.kernels.springs import spring_energy
+from tissue_contact.kernels.springs import spring_energy, stiffening_energy
 
 
 @inner
@@ -30,11 +30,24 @@ def tissue_energies(model, parameters, state):
             model.spring_rest,
             model.spring_stiffness,
             parameters[own + STIFFNESS_SCALE],
-            parameters[own + NONLINEARITY],
             state.x,
             state.y,
             state.z,
         )
+        if parameters[own + NONLINEARITY] > 0.0:
+            elastic += stiffening_energy(
+                model.tissue_spring_start[n],
+                model.tissue_spring_start[n + 1],
+                model.spring_i,
+                model.spring_j,
+                model.spring_rest,
+                model.spring_stiffness,
+                parameters[own + STIFFNESS_SCALE],
+                parameters[own + NONLINEARITY],
+                state.x,
+                state.y,
+                state.z,
+            )
         if parameters[own + AREA_STIFFNESS] > 0.0:
             elastic += area_energy(
                 model.tissue_triangle_start[n],
@@ -52,11 +65,14 @@ def tissue_energies(model, parameters, state):
         if k > 0.0:
             strain = volume_pressure(model, parameters, state, n) / k
             elastic += 0.5 * k * model.tissue_volume[n] * strain * strain
+        speed, place = 0.0, 0.0  # [m² (m/s)²] and [m⁴], squares times areas
         for v in range(model.tissue_vertex_start[n], model.tissue_vertex_start[n + 1]):
             dx, dy, dz = state.x[v] - model.rest_x[v], state.y[v] - model.rest_y[v], state.z[v] - model.rest_z[v]
             square = state.vx[v] * state.vx[v] + state.vy[v] * state.vy[v] + state.vz[v] * state.vz[v]
-            kinetic += 0.5 * density * model.node_area[v] * square
-            elastic += 0.5 * support * model.node_area[v] * (dx * dx + dy * dy + dz * dz)
+            speed += model.node_area[v] * square
+            place += model.node_area[v] * (dx * dx + dy * dy + dz * dz)
+        kinetic += 0.5 * density * speed
+        elastic += 0.5 * support * place
     return kinetic, elastic + weight_energy(model, parameters, state)
 
 
