@@ -394,7 +394,7 @@ def _scratch(scene: Scene, model: Model, parameters: int) -> Scratch:
         "volume_gradient": 3 * vertices if implicit else 0,
         "factor_key": 1 + parameters if projective else 0,
         **dict.fromkeys(("factor_down", "factor_across"), entries),
-        **dict.fromkeys(("path", "touched_mark", "row_slot", "factor_inverse"), rows),
+        **dict.fromkeys(("path", "path_row", "touched_mark", "row_slot", "factor_inverse"), rows),
         **dict.fromkeys(("right", "unit_right"), 4 * rows),
         "row_press": 5 * rows,
         "touched_count": 1,

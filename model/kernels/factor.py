@@ -146,28 +146,44 @@ def mark_path(model, scratch, row):
 
 
 @inner
-def forward_path(model, scratch, right):
-    """L⁻¹ of right sides that are zero but on the marked path, in place."""
-    for j in range(model.factor_vertex.size):
-        if scratch.path[j] == 1:
-            x, y, z, w = right[4 * j], right[4 * j + 1], right[4 * j + 2], right[4 * j + 3]
-            for e in range(model.factor_start[j], model.factor_start[j + 1]):
-                o, a = 4 * model.factor_row[e], scratch.factor_down[e]
-                right[o] -= a * x
-                right[o + 1] -= a * y
-                right[o + 2] -= a * z
-                right[o + 3] -= a * w
+def list_path(scratch):
+    """Rows that are marked into scratch.path_row, ascending; their number. None is marked then."""
+    count = 0
+    for row in range(scratch.path.size):
+        scratch.path_row[count] = row
+        count += scratch.path[row]
+        scratch.path[row] = 0
+    return count
 
 
 @inner
-def backward_path(model, scratch, source, out):
-    """Rows of L⁻ᵀ D⁻¹ of ``source`` on the marked path into ``out``."""
-    for k in range(model.factor_vertex.size):
-        i = model.factor_vertex.size - 1 - k
-        if scratch.path[i] == 1:
-            o, scale = 4 * i, scratch.factor_inverse[i]
-            x, y, z, w = scale * source[o], scale * source[o + 1], scale * source[o + 2], scale * source[o + 3]
-            for e in range(model.factor_start[i], model.factor_start[i + 1]):
-                j, a = 4 * model.factor_row[e], scratch.factor_down[e]
-                x, y, z, w = x - a * out[j], y - a * out[j + 1], z - a * out[j + 2], w - a * out[j + 3]
-            out[o], out[o + 1], out[o + 2], out[o + 3] = x, y, z, w
+def forward_path(model, scratch, count, right):
+    """L⁻¹ of right sides that are zero but on the listed path of ``count`` rows, in place."""
+    for m in range(count):
+        j = scratch.path_row[m]
+        x, y, z, w = right[4 * j], right[4 * j + 1], right[4 * j + 2], right[4 * j + 3]
+        for e in range(model.factor_start[j], model.factor_start[j + 1]):
+            o, a = 4 * model.factor_row[e], scratch.factor_down[e]
+            right[o], right[o + 1] = right[o] - a * x, right[o + 1] - a * y
+            right[o + 2], right[o + 3] = right[o + 2] - a * z, right[o + 3] - a * w
+
+
+@inner
+def backward_path(model, scratch, count, source, out):
+    """Rows of L⁻ᵀ D⁻¹ of ``source`` on the listed path of ``count`` rows into ``out``."""
+    for m in range(count):
+        i = scratch.path_row[count - 1 - m]
+        o, scale = 4 * i, scratch.factor_inverse[i]
+        x, y, z, w = scale * source[o], scale * source[o + 1], scale * source[o + 2], scale * source[o + 3]
+        for e in range(model.factor_start[i], model.factor_start[i + 1]):
+            j, a = 4 * model.factor_row[e], scratch.factor_down[e]
+            x, y, z, w = x - a * out[j], y - a * out[j + 1], z - a * out[j + 2], w - a * out[j + 3]
+        out[o], out[o + 1], out[o + 2], out[o + 3] = x, y, z, w
+
+
+@inner
+def clear_path(scratch, count, right):
+    """Right sides of the listed path of ``count`` rows become zero."""
+    for m in range(count):
+        o = 4 * scratch.path_row[m]
+        right[o], right[o + 1], right[o + 2], right[o + 3] = 0.0, 0.0, 0.0, 0.0

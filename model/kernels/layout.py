@@ -229,6 +229,7 @@ class Scratch(NamedTuple):
     active_c: Index  # shape [E]
     corner: Index  # shape [V where symplectic Euler meets a contact, else 0], corners of all pressed points, once each
     path: Index  # shape [F], 1 where a row is reached by the elimination of some rows
+    path_row: Index  # shape [F], the rows that are reached
     touched: Index  # shape [D], rows that contacts and holds press, ascending
     touched_mark: Index  # shape [F], 1 where a row is among them
     touched_count: Index  # shape [1]

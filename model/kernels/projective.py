@@ -12,7 +12,16 @@ Of H only what lies on the diagonal of blocks counts, the sum of each row of the
 import math
 
 from tissue_contact.kernels.compiled import inner
-from tissue_contact.kernels.factor import backward, backward_path, forward, forward_path, mark_path, ready
+from tissue_contact.kernels.factor import (
+    backward,
+    backward_path,
+    clear_path,
+    forward,
+    forward_path,
+    list_path,
+    mark_path,
+    ready,
+)
 from tissue_contact.kernels.forces import clear_contacts, contact_forces, tissue_forces
 from tissue_contact.kernels.slots import (
     AREAL_DENSITY,
@@ -41,7 +50,7 @@ def _place(state, scratch, dt, n):
 def _damp(model, parameters, state, scratch, tissue, n):
     """Whether the springs of a tissue are damped; if so, the damping force of its velocities in scratch.solve[3 n:]."""
     scale = parameters[TISSUE_PARAMETERS * tissue + DAMPING_SCALE]
-    if scratch.solve.size == 0 or scale == 0.0:
+    if scale == 0.0:
         return False
     first, last = model.tissue_vertex_start[tissue], model.tissue_vertex_start[tissue + 1]
     s_first, s_last = model.tissue_spring_start[tissue], model.tissue_spring_start[tissue + 1]
@@ -168,17 +177,13 @@ def _compliances(model, scratch, count):
         scratch.slot_row[free] = row
         scratch.row_slot[row] = free
         scratch.slot_new[free] = 1
-    for i in range(rows):
-        scratch.path[i] = 0
     for m in range(slots):
         if scratch.slot_row[m] < rows:
             mark_path(model, scratch, int(scratch.slot_row[m]))
+    path = list_path(scratch)
     m = 0
     while m < slots:
-        for i in range(rows):
-            if scratch.path[i] == 1:
-                for lane in range(4):
-                    work[4 * i + lane] = 0.0
+        clear_path(scratch, path, work)
         lanes = 0
         while m < slots and lanes < 4:
             if scratch.slot_new[m] == 1:
@@ -189,8 +194,8 @@ def _compliances(model, scratch, count):
             m += 1
         if lanes == 0:
             return
-        forward_path(model, scratch, work)
-        backward_path(model, scratch, work, work)
+        forward_path(model, scratch, path, work)
+        backward_path(model, scratch, path, work, work)
         for lane in range(lanes):
             own = scratch.lane_slot[lane]
             for other in range(slots):
@@ -229,14 +234,12 @@ def _directions_of(scratch, row, out, m, stiffness):
 @inner
 def _press_back(model, scratch, count):
     """Take the stiffness of the touched rows into the solution: subtract L⁻¹ E y from the right sides L⁻¹ r."""
-    rows, slots = model.factor_vertex.size, scratch.slot_row.size
-    right, work = scratch.right, scratch.unit_right
+    slots, right, work = scratch.slot_row.size, scratch.right, scratch.unit_right
     _compliances(model, scratch, count)
-    for i in range(rows):
-        scratch.path[i] = 0
     for k in range(count):
         mark_path(model, scratch, int(scratch.touched[k]))
-    backward_path(model, scratch, right, work)
+    path = list_path(scratch)
+    backward_path(model, scratch, path, right, work)
     push, stiffness, y, matrix = scratch.push, scratch.push_stiffness, scratch.push_size, scratch.push_matrix
     m = 0
     for k in range(count):
@@ -254,19 +257,16 @@ def _press_back(model, scratch, count):
             matrix[i * m + j] = s
         matrix[i * m + i] += 1.0 / max(stiffness[i], FAINT / scratch.factor_inverse[scratch.push_row[i]])
     _cholesky_solve(matrix, y, m)
-    for i in range(rows):
-        if scratch.path[i] == 1:
-            for lane in range(4):
-                work[4 * i + lane] = 0.0
+    clear_path(scratch, path, work)
     for i in range(m):
         o = 4 * scratch.push_row[i]
         for axis in range(3):
             work[o + axis] += y[i] * push[3 * i + axis]
-    forward_path(model, scratch, work)
-    for i in range(rows):
-        if scratch.path[i] == 1:
-            for lane in range(3):
-                right[4 * i + lane] -= work[4 * i + lane]
+    forward_path(model, scratch, path, work)
+    for i in range(path):
+        o = 4 * scratch.path_row[i]
+        for lane in range(3):
+            right[o + lane] -= work[o + lane]
 
 
 @inner
