@@ -19,8 +19,11 @@ from scipy.spatial.transform import Rotation
 from tissue_contact import fields, geometry, shapes
 from tissue_contact.errors import InputError
 from tissue_contact.geometry import Surface
+from tissue_contact.kernels.bundle import Bundle
 from tissue_contact.kernels.collision import support
-from tissue_contact.kernels.field import FAR, GRID, NONE, body_distance, part_distance
+from tissue_contact.kernels.compiled import kernel
+from tissue_contact.kernels.field import FAR, GRID, NONE, body_distance, fields_of, part_distance
+from tissue_contact.kernels.pressure import out_of_reach
 from tissue_contact.kernels.sampling import sample
 
 seeds = st.integers(0, 2**32 - 1)
@@ -375,6 +378,53 @@ def test_a_sheet_has_no_inside():
 
 
 # --- k-DOP ------------------------------------------------------------------------------------------------
+
+
+@kernel
+def passed_over(model, r, corners):
+    """Which triangles [n, 3, 3] a response passes over."""
+    out = np.zeros(corners.shape[0])
+    for k in range(corners.shape[0]):
+        a, b, c = corners[k]
+        parts = model.part_field.size
+        culled = out_of_reach(model, 0, parts, r, (a[0], a[1], a[2]), (b[0], b[1], b[2]), (c[0], c[1], c[2]))
+        out[k] = 1.0 if culled else 0.0
+    return out
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        'kind = "capsule", radius = 0.004, length = 0.02, triangles = 200',
+        'kind = "box", size = [0.004, 0.008, 0.02]',
+        'kind = "ellipsoid", radii = [0.004, 0.005, 0.01], triangles = 300',  # sampled
+        'kind = "grasper", radius = 0.003, length = 0.02, jaw_length = 0.01',
+    ],
+)
+def test_a_triangle_that_is_passed_over_has_no_point_within_the_body(shape):
+    text = f"""
+        [[tissue]]
+        shape = {{ kind = "patch", size = [0.02, 0.02], triangles = 32 }}
+        stiffness = 100.0
+        areal_density = 1.0
+        [[instrument]]
+        shape = {{ {shape} }}
+        [[contact]]
+        stiffness_per_area = 1e7
+    """
+    model = assembled(text).model
+    rng = np.random.default_rng(1)
+    reach = np.array([model.body_low[:3], model.body_high[:3]])
+    middle = rng.uniform(reach[0] - R, reach[1] + R, (4000, 3))
+    corners = middle[:, None] + rng.normal(size=(4000, 3, 3)) * R * rng.uniform(0.05, 1, (4000, 1, 1))
+    culled = passed_over(Bundle(model), tuple(np.eye(3).ravel()), corners) == 1.0
+    weights = rng.dirichlet(np.ones(3), 300)
+    arrays = fields_of.py_func(model)
+    deepest = np.array(
+        [min(body_distance(arrays, 0, len(model.part_field), tuple(p))[0] for p in weights @ t) for t in corners[:1000]]
+    )
+    assert (deepest[culled[:1000]] >= 0).all()
+    assert 0.05 < culled.mean() < 0.95 and (deepest[~culled[:1000]] < 0).any()
 
 
 def climbed(hull, directions):

@@ -19,7 +19,7 @@ MOTION = 0.25
 
 
 @inner
-def _gap(model, first, last, p):
+def gap_to(model, first, last, p):
     """Distance of a point from a body, or less: beyond the grid of a sampled part it is that from the grid."""
     gap = math.inf
     fields = fields_of(model)
@@ -102,7 +102,7 @@ def find_near_triangles(model, state, scratch, contact, r, p):
         v = (x[b] - middle[0], y[b] - middle[1], z[b] - middle[2])
         w = (x[c] - middle[0], y[c] - middle[1], z[c] - middle[2])
         radius = math.sqrt(max(dot(u, u), dot(v, v), dot(w, w)))
-        distance = _gap(model, first_part, last_part, middle)
+        distance = gap_to(model, first_part, last_part, middle)
         if not distance < radius + margin:
             state.side[side] = 0
             continue
@@ -146,7 +146,7 @@ def find_near_samples(model, state, contact, r, p, r2, p2):
             outside |= q[k] < model.body_low[3 * body + k] - margin or q[k] > model.body_high[3 * body + k] + margin
         if outside:
             continue
-        distance = _gap(model, first_part, last_part, q)
+        distance = gap_to(model, first_part, last_part, q)
         if distance < margin:
             state.near[begin + n] = s
             n += 1

@@ -4,7 +4,9 @@ After Hirota (thesis 2.1.2), but the field belongs to the body, which is rigid, 
 the field's distance and the push follows its gradient exactly, so the force is minus the gradient of an energy.
 """
 
-from tissue_contact.kernels.compiled import inner
+import math
+
+from tissue_contact.kernels.compiled import inner, pointwise
 from tissue_contact.kernels.contact import (
     contact_law,
     gather,
@@ -15,10 +17,29 @@ from tissue_contact.kernels.contact import (
     press_elastic,
     scatter,
 )
-from tissue_contact.kernels.field import body_distance, fields_of
+from tissue_contact.kernels.field import GRID, body_distance, fields_of
+from tissue_contact.kernels.near import gap_to
 from tissue_contact.kernels.side import REJECTED
 from tissue_contact.kernels.slots import GATHER, GATHER_REGIONS
 from tissue_contact.kernels.vectors import dot, to_body, to_world
+
+FEW = 3  # points of a triangle that are sooner read than the triangle is tried
+STEEP = 2.0  # how much faster than distance a sampled field may grow, near the edges of what it was sampled from
+
+
+@pointwise
+def out_of_reach(model, first_part, last_part, r, a, b, c):
+    """Whether no point of a triangle lies within a body; corners [m] from the body frame's origin, world axes."""
+    middle = ((a[0] + b[0] + c[0]) / 3.0, (a[1] + b[1] + c[1]) / 3.0, (a[2] + b[2] + c[2]) / 3.0)
+    u = (a[0] - middle[0], a[1] - middle[1], a[2] - middle[2])
+    v = (b[0] - middle[0], b[1] - middle[1], b[2] - middle[2])
+    w = (c[0] - middle[0], c[1] - middle[1], c[2] - middle[2])
+    steep = 1.0
+    for part in range(first_part, last_part):
+        if model.part_field[part] == GRID:
+            steep = STEEP
+    radius = math.sqrt(max(dot(u, u), dot(v, v), dot(w, w)))
+    return gap_to(model, first_part, last_part, to_body(r, middle)) > steep * radius
 
 
 @inner
@@ -42,7 +63,12 @@ def press_tissue(model, parameters, state, scratch, contact, r, p, velocity, spi
         ax, ay, az = x[a] - p[0], y[a] - p[1], z[a] - p[2]
         bx, by, bz = x[b] - p[0], y[b] - p[1], z[b] - p[2]
         cx, cy, cz = x[c] - p[0], y[c] - p[1], z[c] - p[2]
-        for q in range(model.triangle_point_start[t], model.triangle_point_start[t + 1]):
+        first, last = model.triangle_point_start[t], model.triangle_point_start[t + 1]
+        if last - first > FEW and out_of_reach(
+            model, first_part, last_part, r, (ax, ay, az), (bx, by, bz), (cx, cy, cz)
+        ):
+            continue
+        for q in range(first, last):
             wa, wb, wc = model.point_a[q], model.point_b[q], model.point_c[q]
             arm = (wa * ax + wb * bx + wc * cx, wa * ay + wb * by + wc * cy, wa * az + wb * bz + wc * cz)
             distance, gx, gy, gz = body_distance(fields, first_part, last_part, to_body(r, arm))
