@@ -13,7 +13,7 @@ USABLE := $(shell grep -qF '$(CURDIR)/.venv' .venv/pyvenv.cfg 2>/dev/null \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint bench accuracy identification check importers cross extremes warm-up lock clean new-environment
+.PHONY: help demo test lint bench accuracy presets identification check importers cross extremes warm-up lock clean new-environment
 
 help: ## list what make can do
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1 - /p' Makefile | awk -F ' - ' '{ printf "%-18s%s\n", $$1, $$2 }'
@@ -47,6 +47,10 @@ bench: $(STAMP) ## measure a step inside the FMU, into build/bench.json
 accuracy: $(STAMP) ## measure the error of every response, into build/accuracy.json; goes on where it was stopped
 	@mkdir -p build
 	$(BIN)/python -m tissue_contact.scenarios.accuracy --output build/accuracy.json
+
+presets: $(STAMP) ## measure error and cost of every preset, into build/presets.json; goes on where it was stopped
+	@mkdir -p build
+	$(BIN)/python -m tissue_contact.scenarios.presets --output build/presets.json --workers $(WORKERS)
 
 identification: $(STAMP) ## measure how well and how fast constants are identified, into build/identification.json
 	@mkdir -p build

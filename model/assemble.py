@@ -86,12 +86,11 @@ def _check_scheme(scene: Scene) -> None:
                 f"neither drag nor support_damping of tissue {tissue.name}",
                 "Give one of them, fix solver.substeps, or take symplectic_euler",
             )
-        effects = [e for e in ("nonlinearity", "area_stiffness", "volume_stiffness") if getattr(tissue, e) > 0.0]
-        if scheme == "projective_dynamics" and effects:
+        if scheme == "projective_dynamics" and tissue.beyond_springs:
             raise InputError(
                 place,
                 "the constant matrix of projective_dynamics knows no other forces in the tissue than linear springs",
-                f"{effects[0]} of tissue {tissue.name}",
+                f"{tissue.beyond_springs[0]} of tissue {tissue.name}",
                 "Remove it, or take implicit_euler",
             )
 

@@ -23,6 +23,10 @@ app = typer.Typer(
 ScenarioName = Annotated[
     str, typer.Argument(metavar="SCENARIO", help="Folder or file of a scenario, or the name of a shipped one.")
 ]
+PresetOption = Annotated[
+    str | None,
+    typer.Option("--preset", metavar="NAME", help="fast, balanced or accurate, in the place of the scene's preset."),
+]
 Workers = Annotated[int, typer.Option(min=1, max=1024, help="Processes to spread the work over.")]
 Scheduler = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to spread the work over instead.")
@@ -67,6 +71,7 @@ def build(
         list[str] | None,
         typer.Option(help="Platform of a binary, may be given several times. All of them by default."),
     ] = None,
+    preset: PresetOption = None,
 ) -> None:
     """Build the FMU of a scene."""
     from tissue_contact.assemble import assemble
@@ -75,6 +80,7 @@ def build(
     from tissue_contact.scenarios.report import still
     from tissue_contact.scene import read_scene
     from tissue_contact.settings import nearest
+    from tissue_contact.study.levers import with_preset
 
     for name in platform or []:
         if name not in ALL:
@@ -82,7 +88,9 @@ def build(
             raise InputError("--platform", "the platform must be a known one", name, way_out)
     if output.suffix != ".fmu":
         raise InputError("--output", "the name of an FMU must end in .fmu", output, "Add the suffix")
-    read = read_scene(scene)
+    read = with_preset(read_scene(scene), preset)
+    for remark in read.remarks:
+        _tell(remark)
     assembly = assemble(read)
     _tell("drawing the scene")
     build_fmu(assembly, output, platforms=platform or ALL, picture=still(read), on_progress=_tell)
@@ -104,6 +112,7 @@ def run(
         Path | None,
         typer.Option(metavar="RESULT", help="Result of a fit, whose parameters are set; --set goes before them."),
     ] = None,
+    preset: PresetOption = None,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     progress: ProgressBar = True,
 ) -> None:
@@ -111,7 +120,7 @@ def run(
     values = _assignments(set_ or [])
     from tissue_contact.scenarios.scenario import read_scenario
 
-    read = read_scenario(scenario)
+    read = read_scenario(scenario, preset)
     if parameters is not None:
         from tissue_contact.identify.result import read_result
 

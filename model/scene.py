@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, PrivateAttr, Tag, model_validator
 
+from tissue_contact.presets import BEYOND_SPRINGS, PRESETS, PresetName
 from tissue_contact.settings import (
     Settings,
     broken,
@@ -25,6 +26,7 @@ from tissue_contact.settings import (
 
 NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_]{0,63}$"
 RESERVED = ("energy", "solver")  # the FMU has variables of its own under these names
+NOT_SPRINGS = ("nonlinearity", "area_stiffness", "volume_stiffness")  # what a tissue has beyond linear springs
 
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 Coordinate = Annotated[float, Field(ge=-100, le=100)]
@@ -256,6 +258,11 @@ class Tissue(_Body):
             raise broken((other,), rule, f"{layer[0]} alone", f"Add {other}, or give stiffness instead")
         return self
 
+    @property
+    def beyond_springs(self) -> list[str]:
+        """Keys by which it resists otherwise than by linear springs."""
+        return [key for key in NOT_SPRINGS if getattr(self, key) > 0.0]
+
 
 class Grasp(Settings):
     """Jaws that hold tissue: what lies within their reach as they close keeps its place in the body frame."""
@@ -375,9 +382,19 @@ class Contact(Settings):
         return self
 
 
-class Solver(Settings):
-    """Time steps and limits."""
+PRESET_MEANING = (
+    f"fills in what is not given here: {'; '.join(f'{name} {preset.words}' for name, preset in PRESETS.items())}. With "
+    f"a tissue that has {', '.join(NOT_SPRINGS[:-1])} or {NOT_SPRINGS[-1]} every preset is {BEYOND_SPRINGS.words}"
+)
 
+
+class Solver(Settings):
+    """Time steps and limits.
+
+    In a validated scene what the preset fills in is filled in.
+    """
+
+    preset: PresetName | None = Field(None, description=PRESET_MEANING)
     step: float = quantity("s", 1e-6, 1, "communication step", 0.001)
     stop_time: float = quantity("s", 1e-6, 1e6, "end of the default experiment", 1.0)
     gravity: Annotated[tuple[Coordinate, ...], Field(min_length=3, max_length=3)] = items(
@@ -415,9 +432,6 @@ class Solver(Settings):
                 "Raise max_substeps or lower substeps",
             )
             raise broken(("substeps",), "substeps must not exceed max_substeps", found, way_out)
-        if "iterations" in self.model_fields_set and self.integrator != "projective_dynamics":
-            rule = f"iterations has no meaning for integrator {self.integrator}"
-            raise broken(("iterations",), rule, show(self.iterations), "Remove it, or take projective_dynamics")
         return self
 
 
@@ -441,6 +455,7 @@ class Scene(Settings):
     _source: bytes = PrivateAttr(b"")
     _folder: Path = PrivateAttr(Path())
     _place: str = PrivateAttr("scene")
+    _remarks: tuple[str, ...] = PrivateAttr(())
 
     @property
     def source(self) -> bytes:
@@ -458,9 +473,37 @@ class Scene(Settings):
         return self._place
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the user should know of it, one line each."""
+        return self._remarks
+
+    @property
     def bodies(self) -> tuple[Instrument | Rigid, ...]:
         """All that is rigid: the instruments, then the rigid bodies."""
         return (*self.instrument, *self.rigid)
+
+    @model_validator(mode="after")
+    def _preset(self) -> "Scene":
+        """Fill in the solver's keys that its preset gives and the file does not."""
+        solver, given = self.solver, self.solver.model_fields_set
+        if solver.preset is not None:
+            chosen = PRESETS[solver.preset]
+            not_springs = [f"{t.beyond_springs[0]} of tissue {t.name}" for t in self.tissue if t.beyond_springs]
+            if not_springs and chosen.integrator == "projective_dynamics" and "integrator" not in given:
+                self._remarks = (
+                    f"preset {solver.preset} is {BEYOND_SPRINGS.words} in this scene, for {chosen.integrator} does not "
+                    f"know the {not_springs[0]}",
+                )
+                chosen = BEYOND_SPRINGS
+            # What goes with another integrator than the file's has no meaning for that.
+            fits = "integrator" not in given or solver.integrator == chosen.integrator
+            missing = {key: value for key, value in chosen.keys.items() if fits and key not in given}
+            self.__dict__["solver"] = solver.model_copy(update=missing)
+        if "iterations" in given and self.solver.integrator != "projective_dynamics":
+            rule = f"iterations has no meaning for integrator {self.solver.integrator}"
+            way_out = "Remove it" if self._remarks else "Remove it, or take projective_dynamics"
+            raise broken(("solver", "iterations"), rule, show(solver.iterations), way_out)
+        return self
 
     @model_validator(mode="after")
     def _names_agree(self) -> "Scene":

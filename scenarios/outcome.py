@@ -114,6 +114,12 @@ class Verdict:
         return f"{self.value / self.whole:.3g}{self._measure}"
 
     @property
+    def told(self) -> str:
+        """What was found beside what was wanted."""
+        e = self.expectation
+        return f"{e.statistic} of {e.output} is {self.found}; wanted {self.bounds}"
+
+    @property
     def _measure(self) -> str:
         return f" of {self.expectation.of}" if self.expectation.of else _unit(self.unit)
 

@@ -299,7 +299,7 @@ def run(
             made.append(assemble(scenario.scene))
         return made[0]
 
-    for remark in scenario.stimulus.remarks():
+    for remark in (*scenario.scene.remarks, *scenario.stimulus.remarks()):
         console.print(remark, highlight=False, markup=False)
     times, steps = communication_points(scenario.duration, scenario.scene.solver.step)
     inputs = scenario.stimulus.sample(times)
@@ -420,7 +420,6 @@ def print_summary(outcome: Outcome, console: Console) -> None:
     console.print(table)
     for v in outcome.verdicts:
         mark = "[green]holds[/]" if v.holds else "[red]fails[/]"
-        what = f"{v.expectation.statistic} of {v.expectation.output} is {v.found}; wanted {v.bounds}"
-        console.print(f"{mark}  {escape(what)}", highlight=False, soft_wrap=True)
+        console.print(f"{mark}  {escape(v.told)}", highlight=False, soft_wrap=True)
         if v.expectation.reason:
             console.print(f"       {v.expectation.reason}", style="dim", highlight=False, markup=False, soft_wrap=True)

@@ -9,6 +9,7 @@ from tissue_contact.errors import InputError
 from tissue_contact.scenarios.stimulus import Declared, Still, Stimulus, no_jaws
 from tissue_contact.scene import Scene, read_scene
 from tissue_contact.settings import Settings, broken, nearest, quantity, read_toml, show, validate
+from tissue_contact.study.levers import with_preset
 
 SHIPPED = Path(__file__).parent
 FILE = "scenario.toml"
@@ -105,8 +106,8 @@ def find_scenario(word: str | Path) -> Path:
     raise InputError(str(word), rule, found, nearest(path.name, shipped_names(), what="shipped scenarios"))
 
 
-def read_scenario(word: str | Path) -> Scenario:
-    """Read a scenario (see `find_scenario`) and its scene.
+def read_scenario(word: str | Path, preset: str | None = None) -> Scenario:
+    """Read a scenario (see `find_scenario`) and its scene, with a preset in the place of the scene's own.
 
     Raises
     ------
@@ -119,7 +120,7 @@ def read_scenario(word: str | Path) -> Scenario:
     scenario = validate(Scenario, data, str(path))
     scenario._name = path.resolve().parent.name if path.name == FILE else path.stem
     scenario._place = str(path)
-    scenario._scene = read_scene(path.parent / scenario.scene_file)
+    scenario._scene = with_preset(read_scene(path.parent / scenario.scene_file), preset)
     instruments = {i.name: i for i in scenario.scene.instrument}
     names = list(instruments)
     paths: list[Any] = []

@@ -20,7 +20,7 @@ from tissue_contact.fmu import native
 from tissue_contact.fmu.build import build
 from tissue_contact.fmu.compile import shared_library
 from tissue_contact.pool import Kept, Spread, in_line, pool
-from tissue_contact.scenarios.outcome import FloatArray
+from tissue_contact.scenarios.outcome import FloatArray, judge
 from tissue_contact.scenarios.run import (
     bar_of,
     communication_points,
@@ -30,7 +30,7 @@ from tissue_contact.scenarios.run import (
     interrupted,
     scene_key,
 )
-from tissue_contact.scenarios.scenario import Scenario
+from tissue_contact.scenarios.scenario import Expectation, Scenario
 from tissue_contact.scene import Scene, parse_scene
 from tissue_contact.study import deviation, levers
 from tissue_contact.study.deviation import DEPTH, FORCE, WIDTH, errors
@@ -117,6 +117,7 @@ class Job:
     times: FloatArray  # [s]
     steps: FloatArray  # [s]
     inputs: Mapping[str, FloatArray]  # at the times
+    expect: tuple[Expectation, ...] = ()
 
     def scene(self) -> Scene:
         """The scene, validated."""
@@ -141,7 +142,7 @@ def built(job: Job, folder: Path) -> Path:
 
 
 def follow(job: Job) -> dict[str, Any]:
-    """Run a job: its rows for `rows_of`, its rough time of a step [µs], what refused it, if anything."""
+    """Run a job: its rows for `rows_of`, its rough time of a step [µs], what failed or refused it, if anything."""
     with tempfile.TemporaryDirectory() as name:
         try:
             fmu = built(job, Path(name))
@@ -170,6 +171,7 @@ def follow(job: Job) -> dict[str, Any]:
         "us": 1e6 * taken / len(job.steps),
         "substeps": int(trace.column("solver.substeps").max()),
         "balance": balance / work if work > 0.0 else 0.0,
+        "failed": [v.told for v in judge(job.expect, trace) if not v.holds],
         "refusal": "",
     }
 
@@ -234,7 +236,7 @@ def step_time(fmu: Path, job: Job) -> float | str:
 def measured(scenario: Scenario, folder: Path, request: Request) -> Measured:
     """Run and time a scenario in many configurations; `folder` keeps what is finished. Errors as `trade`."""
     console = Console(stderr=True)
-    for remark in scenario.stimulus.remarks():
+    for remark in (*scenario.scene.remarks, *scenario.stimulus.remarks()):
         console.print(remark, highlight=False, markup=False)
     assembly = assemble(scenario.scene)  # a wrong scene is told before anything is compiled
     known = levers.grounds(scenario.scene, assembly.model.contact_reach)

@@ -246,6 +246,21 @@ WRONG = {
         '[solver]\nintegrator = "rk4"\n[[contact]]',
         ["solver.integrator", '"rk4"', "symplectic"],
     ),
+    "preset": (
+        "[[contact]]",
+        '[solver]\npreset = "fats"\n[[contact]]',
+        ["solver.preset", "fast or balanced or accurate", '"fats"', "spelling is fast"],
+    ),
+    "iterations of nothing": (
+        "[[contact]]",
+        "[solver]\niterations = 2\n[[contact]]",
+        ["solver.iterations", "no meaning for integrator symplectic_euler", "found 2", "or take projective_dynamics"],
+    ),
+    "iterations of a preset that cannot have any": (
+        "areal_density = 1.0",
+        'areal_density = 1.0\nnonlinearity = 2.0\n[solver]\npreset = "fast"\niterations = 2',
+        ["solver.iterations", "no meaning for integrator symplectic_euler", "found 2. Remove it."],
+    ),
     "motion": (
         "[[contact]]",
         '[motion]\nkind = "extrapolate"\n[[contact]]',

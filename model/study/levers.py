@@ -14,8 +14,9 @@ from tissue_contact.bodies import spacing_of
 from tissue_contact.errors import InputError
 from tissue_contact.fields import CUTS_MAX, longest_edges
 from tissue_contact.geometry import FloatArray
+from tissue_contact.presets import PRESETS
 from tissue_contact.scene import Contact, Instrument, Rigid, Scene, Tissue, parse_scene
-from tissue_contact.settings import setting
+from tissue_contact.settings import check_word, setting
 from tissue_contact.surfaces import surface_of
 
 SAFETIES = (0.95, 0.7, 0.5, 0.25)  # of symplectic Euler, shares of its stable limit
@@ -266,6 +267,14 @@ def changed(scene: Scene, edits: Iterable[Edit]) -> Scene:
     return parse_scene(edited(scene, edits), scene.folder, scene.place)
 
 
+def with_preset(scene: Scene, name: str | None) -> Scene:
+    """The scene with a preset in the place of its own; None leaves that. Raises InputError where there is none such."""
+    if name is None:
+        return scene
+    check_word("--preset", name, PRESETS)
+    return changed(scene, [Edit(("solver", "preset"), name)])
+
+
 def edited(scene: Scene, edits: Iterable[Edit]) -> bytes:
     """The scene file with some keys changed and everything else, comments too, as it is written."""
     document = tomlkit.parse(scene.source.decode())
@@ -318,6 +327,7 @@ def reference(scene: Scene, known: Grounds, factor: float) -> list[Edit]:
     edits = _finer(scene, factor)
     keys = {
         "integrator": "symplectic_euler",
+        "iterations": None,
         "substeps": 0,
         "safety": _digits(solver.safety / finer) if meshes_left(scene) else solver.safety,
         "max_substeps": 100_000,

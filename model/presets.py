@@ -1,0 +1,36 @@
+"""Presets: named settings of the solver that fill in what a scene does not say itself.
+
+What each of them costs and errs by is measured by `make presets`; docs/presets.md tells it.
+"""
+
+from typing import Any, Literal, NamedTuple
+
+PresetName = Literal["fast", "balanced", "accurate"]
+
+
+class Preset(NamedTuple):
+    """Keys of the scene's table `solver`; None leaves one out."""
+
+    integrator: str
+    iterations: int | None = None
+
+    @property
+    def keys(self) -> dict[str, Any]:
+        """The keys with their values."""
+        return {key: value for key, value in self._asdict().items() if value is not None}
+
+    @property
+    def words(self) -> str:
+        """The preset in words."""
+        if self.iterations is None:
+            return self.integrator
+        return f"{self.integrator}, {self.iterations} iteration{'s' * (self.iterations > 1)}"
+
+
+PRESETS: dict[PresetName, Preset] = {
+    "fast": Preset("projective_dynamics", 1),
+    "balanced": Preset("projective_dynamics", 2),
+    "accurate": Preset("symplectic_euler"),
+}
+# For every preset where a tissue resists by more than linear springs, of which projective dynamics knows nothing.
+BEYOND_SPRINGS = Preset("symplectic_euler")
