@@ -113,7 +113,7 @@ def references_table(data: Found) -> str:
     for name, about in data["scenarios"].items():
         near = [cell(about["convergence"].get(measure)) for measure in ("force", "depth")]
         mesh = [cell(about["mesh"].get(measure)) for measure in ("force", "depth")]
-        rows.append([shown(name), f"{about['triangles']:,}" if about["triangles"] else "–", *near, *mesh])
+        rows.append([shown(name), f"{about['triangles']:,}", *near, *mesh])
     return table(["Scenario", "Triangles", "Reference: force", "depth", "Mesh: force", "depth"], rows)
 
 
