@@ -13,7 +13,7 @@ from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator
 
 from tissue_contact.presets import PRESETS
 from tissue_contact.scenarios.presets import CANDIDATES, SHEET
@@ -64,10 +64,12 @@ def settings_table(data: Found) -> str:
     for name, preset in PRESETS.items():
         runs = {where: found[preset.words] for where, found in whole.items()}
         done = {where: run["error"]["force"] for where, run in runs.items() if not run["refusal"]}
+        refused = ", ".join(where for where in runs if where not in done)
         worst = max(done, key=lambda where: done[where])
         ratios = [whole[where][CANDIDATES[-1].words]["us"] / runs[where]["us"] for where in done]
         faster = f"{min(ratios):.1f} to {max(ratios):.1f}" if preset != CANDIDATES[-1] else ""
-        rows.append([f"`{name}`", preset.words, f"{cell(done[worst])} ({worst})", faster])
+        error = f"{cell(done[worst])} ({worst})" + f", refused in {refused}" * bool(refused)
+        rows.append([f"`{name}`", preset.words, error, faster])
     return table(["Preset", "Settings", "Worst error of the force", f"Times as fast as {CANDIDATES[-1].words}"], rows)
 
 
@@ -157,7 +159,9 @@ def figure(data: Found) -> bytes:
         axes.plot([], [], mark, color="black", ls="none", label=" ".join([words, *names]))
     axes.set(xscale="log", yscale="log", xlabel="step in contact, median [µs]", ylabel="error of the force [%]")
     for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
         axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,.10g}"))
+        axis.set_minor_formatter("")
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
     drawn.legend(loc="outside right center", frameon=False, fontsize=8)

@@ -28,7 +28,7 @@ from tissue_contact.scenarios.trade import Job, follow, job_of, point_of, rows_o
 from tissue_contact.scene import Scene, parse_scene
 from tissue_contact.study import levers
 from tissue_contact.study.deviation import errors
-from tissue_contact.study.front import Point, solver_settings
+from tissue_contact.study.front import Point, percent, solver_settings
 from tissue_contact.study.levers import Edit, Option
 
 Say = Callable[[str], None]
@@ -190,6 +190,8 @@ def main(output: Path = Path("build/presets.json"), scenarios: str = "", workers
     wanted = [name for name in scenarios.split(",") if name]
     found = measure(folder, wanted, workers, lambda text: console.print(text, style="dim", highlight=False))
     publish(output, (json.dumps(found, indent=1) + "\n").encode())
+    for name, keys in found["chosen"].items():
+        console.print(f"fastest within {percent(WITHIN[name])}, for {name}: {keys}", highlight=False, markup=False)
     console.print(f"kept in {output}", highlight=False)
 
 
