@@ -96,7 +96,7 @@ def cases(folder: Path, say: Say) -> list[Case]:
 
 def references(case: Case) -> list[Job]:
     """Symplectic Euler with short substeps, then with the shortest; then, where it can be had, on a finer mesh."""
-    exact: dict[str, Any] = {"integrator": "symplectic_euler", "iterations": None, "substeps": 0, "max_substeps": 100_000}
+    exact = {"integrator": "symplectic_euler", "iterations": None, "substeps": 0, "max_substeps": 100_000}
     found = [case.edited(exact | {"safety": safety}) for safety in SAFETIES]
     if not levers.meshes_left(case.scene):
         known = levers.grounds(case.scene, assemble(case.scene).model.contact_reach)
