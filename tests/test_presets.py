@@ -159,8 +159,12 @@ def test_a_measurement_is_kept_and_tells_what_fails(tmp_path):
     assert euler["error"]["force"] < more["error"]["force"] < few["error"]["force"]
     assert about["convergence"]["force"] < euler["error"]["force"] < about["mesh"]["force"]
     assert ["max of instrument.force[3]" in told for told in few["failed"]] == [True]
-    again, same = measurement.measured(case, tmp_path, None, said.append)
-    assert same == about and again.done == kept.done, "nothing is run twice"
+
+    def nothing_left(work, tasks, on_done):
+        assert tasks == [], "nothing is run twice"
+
+    again, same = measurement.measured(case, tmp_path, nothing_left, said.append)
+    assert same == about and again.done == kept.done
 
 
 # --- the page ---------------------------------------------------------------------------------------------

@@ -257,8 +257,8 @@ WRONG = {
         ["solver.iterations", "no meaning for integrator symplectic_euler", "found 2", "or take projective_dynamics"],
     ),
     "iterations of a preset that cannot have any": (
-        "areal_density = 1.0",
-        'areal_density = 1.0\nnonlinearity = 2.0\n[solver]\npreset = "fast"\niterations = 2',
+        "[[tissue]]",
+        '[solver]\npreset = "fast"\niterations = 2\n[[tissue]]\nnonlinearity = 2.0',
         ["solver.iterations", "no meaning for integrator symplectic_euler", "found 2. Remove it."],
     ),
     "motion": (
