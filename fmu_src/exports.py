@@ -1,4 +1,4 @@
-"""Which symbols a shared library exports: just enough of ELF, PE and Mach-O."""
+"""Which symbols a shared library exports, and which one for Linux needs: just enough of ELF, PE and Mach-O."""
 
 import struct
 
@@ -13,7 +13,7 @@ def _text(content: bytes, at: int) -> str:
     return content[at : content.index(b"\0", at)].decode()
 
 
-def _elf(content: bytes) -> set[str]:
+def _elf(content: bytes, defined: bool) -> set[str]:
     sections_at, entry_size, count = struct.unpack_from("<Q10xHH", content, 40)
     sections = [struct.unpack_from("<IIQQQQIIQQ", content, sections_at + i * entry_size) for i in range(count)]
     names = set()
@@ -23,7 +23,7 @@ def _elf(content: bytes) -> set[str]:
         strings_at = sections[link][4]
         for at in range(offset, offset + size, 24):
             name, info, _, section = struct.unpack_from("<IBBH", content, at)
-            if section != 0 and info >> 4 in (1, 2):  # defined; global or weak
+            if (section != 0) == defined and info >> 4 in (1, 2):  # global or weak
                 names.add(_text(content, strings_at + name))
     return names
 
@@ -96,7 +96,7 @@ def exported(content: bytes) -> set[str]:
         The content is none of ELF, PE and Mach-O.
     """
     if content[:4] == b"\x7fELF":
-        return _elf(content)
+        return _elf(content, defined=True)
     if content[:2] == b"MZ":
         return _pe(content)
     if content[:4] == b"\xcf\xfa\xed\xfe":
@@ -106,3 +106,8 @@ def exported(content: bytes) -> set[str]:
         slices = [struct.unpack_from(">2I", content, 8 + 20 * i + 8) for i in range(count)]
         return set().union(*(_mach_o(content[begin : begin + size]) for begin, size in slices))
     raise WorkError("the file is no shared library (neither ELF nor PE nor Mach-O)")
+
+
+def imported(content: bytes) -> set[str]:
+    """Names that a shared library for Linux takes from others."""
+    return _elf(content, defined=False)

@@ -1,4 +1,4 @@
-"""Run an .fmu through a small native program: to time it without Python, and for other platforms."""
+"""Run an .fmu through a small native program: to time it without Python, to watch it, and for other platforms."""
 
 import importlib.metadata
 import os
@@ -11,6 +11,7 @@ import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 from urllib.parse import quote
 
 import numpy as np
@@ -51,18 +52,21 @@ def runner(platform: str) -> list[str] | None:
     return None
 
 
-def driver(platform: str) -> bytes:
-    """The program of ``c/driver.c`` for a platform, from the cache or compiled now."""
+def driver(platform: str, watched: bool = False) -> bytes:
+    """The program of ``c/driver.c`` for a platform, with or without ``c/watch.c``, from the cache or compiled now."""
     target = compile.target(platform)
-    version = cache.digest([compile.C_FILES / "driver.c"], importlib.metadata.version("ziglang"))
+    names = ["driver", "watch"] if watched else ["driver"]
+    sources = [compile.C_FILES / file for file in ("watch.h", *(f"{name}.c" for name in names))]
+    version = cache.digest(sources, importlib.metadata.version("ziglang"))
     kept = cache.folder() / f"driver-{platform}-{version}"
     if not kept.exists():
         with tempfile.TemporaryDirectory() as name:
             directory = Path(name)
-            sources = compile.copy_sources(["driver"], directory)
             flags = [*compile.C_FLAGS, "-isystem", "fmi", "-s", "-o", "driver"]
+            flags += ["-DTC_WATCHED", "-rdynamic"] if watched else []  # the FMU is to find the driver's malloc
             libraries = ["-ldl"] if target.suffix == ".so" else []
-            compile.zig(["-target", target.machines[0].zig, *flags, *sources, *libraries], directory)
+            files = compile.copy_sources(names, directory)
+            compile.zig(["-target", target.machines[0].zig, *flags, *files, *libraries], directory)
             compile.publish(kept, (directory / "driver").read_bytes())
     return kept.read_bytes()
 
@@ -74,6 +78,7 @@ def drive(
     platform: str | None = None,
     starts: Mapping[str, float] | None = None,
     prefix: Sequence[str] | None = None,
+    watched: bool = False,
 ) -> tuple[Real, np.ndarray]:
     """Step an .fmu with given inputs.
 
@@ -93,6 +98,8 @@ def drive(
         Variable name -> value, set before initialization.
     prefix : sequence of str, optional
         Command that runs the program instead of `runner`'s.
+    watched : bool
+        Fail at the first allocation, lock or system call within a step. Linux on x86-64 only.
 
     Returns
     -------
@@ -108,6 +115,43 @@ def drive(
     WorkError
         A call to the FMU failed; the message holds the log.
     """
+    result = _run(fmu_path, inputs, h, platform, starts, prefix, watched=watched)
+    step_ns = np.frombuffer(result, "<u8", len(inputs))
+    return np.frombuffer(result, "<f8", offset=step_ns.nbytes).reshape(len(inputs), -1), step_ns
+
+
+class Soak(NamedTuple):
+    """A long run on one core; arrays of uint64, shape [steps]."""
+
+    step_ns: np.ndarray  # wall time of every fmi2DoStep, ns
+    preemptions: np.ndarray  # how often it was taken off its core within it
+    waits: np.ndarray  # how often it gave its core away
+    faults: np.ndarray  # pages that were not there
+    locked: bool  # the memory was, so that no page may go
+
+
+def soak(fmu_path: Path, inputs: Real, h: float, repeats: int, core: int) -> Soak:
+    """Step an .fmu through the same inputs again and again, kept on one core, and note what held it up. Linux only.
+
+    Arguments and errors as for `drive`.
+    """
+    result = np.frombuffer(_run(fmu_path, inputs, h, repeats=repeats, core=core), "<u8")
+    steps = repeats * len(inputs)
+    return Soak(*result[: 4 * steps].reshape(4, steps), locked=bool(result[4 * steps]))
+
+
+def _run(
+    fmu_path: Path,
+    inputs: Real,
+    h: float,
+    platform: str | None = None,
+    starts: Mapping[str, float] | None = None,
+    prefix: Sequence[str] | None = None,
+    watched: bool = False,
+    repeats: int = 1,
+    core: int | None = None,
+) -> bytes:
+    """What the driver writes; arguments and errors as for `drive` and `soak`."""
     platform = platform or host_platform()
     command = runner(platform) if prefix is None else list(prefix)
     if command is None:
@@ -126,7 +170,8 @@ def drive(
     if unknown:
         raise InputError("starts", "must name variables of the FMU", unknown[0], "See modelDescription.xml")
 
-    job = struct.pack("<4Q2d", len(inputs), len(given), len(in_refs), len(out_refs), _start_time(about), h)
+    counts = repeats * len(inputs), len(inputs), len(given), len(in_refs), len(out_refs)
+    job = struct.pack("<6Q2d", *counts, 0 if core is None else 1 + core, _start_time(about), h)
     job += b"".join(struct.pack("<Qd", references[name], value) for name, value in given.items())
     job += struct.pack(f"<{len(in_refs) + len(out_refs)}Q", *in_refs, *out_refs) + inputs.tobytes()
     with tempfile.TemporaryDirectory() as name:
@@ -137,7 +182,7 @@ def drive(
         if not (directory / library).exists():
             raise InputError(str(fmu_path), f"must hold a binary for {platform}", "none", "Build it for that platform")
         program = directory / "driver.exe"
-        program.write_bytes(driver(platform))
+        program.write_bytes(driver(platform, watched))
         program.chmod(0o755)
         (directory / "job").write_bytes(job)
         resources = (directory / "fmu/resources").as_posix()
@@ -153,9 +198,7 @@ def drive(
         )
         if run.returncode != 0:
             raise WorkError(f"the FMU failed on {platform} (exit code {run.returncode}):\n{run.stderr.strip()}")
-        result = (directory / "result").read_bytes()
-    step_ns = np.frombuffer(result, "<u8", len(inputs))
-    return np.frombuffer(result, "<f8", offset=8 * len(inputs)).reshape(len(inputs), len(out_refs)), step_ns
+        return (directory / "result").read_bytes()
 
 
 def _start_time(about) -> float:  # fmpy's ModelDescription

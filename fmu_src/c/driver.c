@@ -2,11 +2,14 @@
 
    driver LIBRARY RESOURCES GUID JOB RESULT
 
-   JOB, little-endian: u64 steps, n_starts, n_inputs, n_outputs; f64 start time, h; u64 value reference and f64 value of
-   every start; u64 value references of the inputs, then of the outputs; f64 inputs[steps][n_inputs].
-   RESULT: u64 nanoseconds[steps]; f64 outputs[steps][n_outputs].
-   Row 0 of the inputs is also set in Initialization Mode. Exit code 1, with a message, if anything fails. */
-#define _POSIX_C_SOURCE 200809L /* for clock_gettime */
+   JOB, little-endian: u64 steps, rows, n_starts, n_inputs, n_outputs, 1 + core to stay on or 0; f64 start time, h; u64
+   value reference and f64 value of every start; u64 value references of the inputs, then of the outputs; f64
+   inputs[rows][n_inputs].
+   RESULT: u64 nanoseconds[steps]; if a core is given, u64 preemptions[steps], waits[steps], page faults[steps] and
+   whether the memory was locked; f64 outputs[rows][n_outputs].
+   Row 0 of the inputs is also set in Initialization Mode. With more steps than rows the rows are taken again and again,
+   and the outputs are of the last time. Exit code 1, with a message, if anything fails. */
+#define _GNU_SOURCE /* for clock_gettime, RUSAGE_THREAD and sched_setaffinity */
 
 #include <stdarg.h>
 #include <stdint.h>
@@ -15,6 +18,7 @@
 #include <string.h>
 
 #include "fmi2FunctionTypes.h"
+#include "watch.h"
 
 #ifdef _WIN32
 #include <windows.h>
@@ -58,16 +62,52 @@ static void fail(const char *what)
     exit(1);
 }
 
+/* What held the thread up so far: taken off its core, waited of its own accord, touched memory that was not there. */
+enum { PREEMPTIONS, WAITS, FAULTS, INTERRUPTIONS };
+
+#ifdef __linux__
+#include <sched.h>
+#include <sys/mman.h>
+#include <sys/resource.h>
+static uint64_t stay_on(uint64_t core)
+{
+    cpu_set_t cores;
+    CPU_ZERO(&cores);
+    CPU_SET(core, &cores);
+    if (sched_setaffinity(0, sizeof cores, &cores) != 0)
+        fail("staying on the core");
+    return mlockall(MCL_CURRENT | MCL_FUTURE) == 0; /* not everyone may */
+}
+static void interruptions(uint64_t *so_far)
+{
+    struct rusage usage;
+    getrusage(RUSAGE_THREAD, &usage);
+    so_far[PREEMPTIONS] = (uint64_t)usage.ru_nivcsw;
+    so_far[WAITS] = (uint64_t)usage.ru_nvcsw;
+    so_far[FAULTS] = (uint64_t)(usage.ru_minflt + usage.ru_majflt);
+}
+#else
+static uint64_t stay_on(uint64_t core)
+{
+    (void)core;
+    fail("staying on a core, which is for Linux only,");
+    return 0;
+}
+static void interruptions(uint64_t *so_far) { memset(so_far, 0, INTERRUPTIONS * sizeof *so_far); }
+#endif
+
 static void logger(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category,
                    fmi2String message, ...)
 {
     (void)environment;
+    bool watched = watch(false); /* what the importer does with a message is its own affair */
     va_list arguments;
     va_start(arguments, message);
     fprintf(stderr, "%s %d %s: ", name, (int)status, category);
     vfprintf(stderr, message, arguments);
     fputc('\n', stderr);
     va_end(arguments);
+    watch(watched);
 }
 
 static void *get(void *library, const char *name)
@@ -117,6 +157,8 @@ int main(int argc, char **argv)
         fprintf(stderr, "usage: driver LIBRARY RESOURCES GUID JOB RESULT\n");
         return 2;
     }
+    if (!watch_ready())
+        fail("syscall user dispatch of Linux 5.11");
     void *library = load(argv[1]);
     if (library == NULL)
         fail("loading the library");
@@ -133,15 +175,16 @@ int main(int argc, char **argv)
     FILE *job = fopen(argv[4], "rb");
     if (job == NULL)
         fail("opening the job");
-    uint64_t counts[4]; /* steps, starts, inputs, outputs */
+    uint64_t counts[6]; /* steps, rows, starts, inputs, outputs, core */
     double times[2];
-    read_items(job, counts, 4);
+    read_items(job, counts, 6);
     read_items(job, times, 2);
-    uint64_t steps = counts[0], n_in = counts[2], n_out = counts[3];
+    uint64_t steps = counts[0], rows = counts[1], n_starts = counts[2], n_in = counts[3], n_out = counts[4];
+    bool still = counts[5] != 0;
     double begin = times[0], h = times[1];
-    fmi2ValueReference *start_refs = allocate(counts[1]);
-    double *starts = allocate(counts[1]);
-    for (uint64_t i = 0; i < counts[1]; i++) {
+    fmi2ValueReference *start_refs = allocate(n_starts);
+    double *starts = allocate(n_starts);
+    for (uint64_t i = 0; i < n_starts; i++) {
         uint64_t reference;
         read_items(job, &reference, 1);
         start_refs[i] = (fmi2ValueReference)reference;
@@ -149,32 +192,46 @@ int main(int argc, char **argv)
     }
     fmi2ValueReference *in_refs = read_references(job, n_in);
     fmi2ValueReference *out_refs = read_references(job, n_out);
-    double *inputs = allocate(steps * n_in);
-    read_items(job, inputs, steps * n_in);
+    double *inputs = allocate(rows * n_in);
+    read_items(job, inputs, rows * n_in);
     fclose(job);
-    double *outputs = allocate(steps * n_out);
+    double *outputs = allocate(rows * n_out);
     uint64_t *spent = allocate(steps);
+    uint64_t held_up = still ? INTERRUPTIONS * steps + 1 : 0;
+    uint64_t *held = allocate(held_up);
+    if (still)
+        held[INTERRUPTIONS * steps] = stay_on(counts[5] - 1);
 
     fmi2CallbackFunctions callbacks = {.logger = logger};
     fmi2Component c = fmi2Instantiate("driver", fmi2CoSimulation, argv[3], argv[2], &callbacks, fmi2False, fmi2False);
     if (c == NULL)
         fail("fmi2Instantiate");
     if (fmi2SetupExperiment(c, fmi2False, 0, begin, fmi2False, 0) != fmi2OK ||
-        fmi2SetReal(c, start_refs, (size_t)counts[1], starts) != fmi2OK || fmi2EnterInitializationMode(c) != fmi2OK ||
+        fmi2SetReal(c, start_refs, (size_t)n_starts, starts) != fmi2OK || fmi2EnterInitializationMode(c) != fmi2OK ||
         (steps > 0 && fmi2SetReal(c, in_refs, (size_t)n_in, inputs) != fmi2OK) ||
         fmi2ExitInitializationMode(c) != fmi2OK)
         fail("initialization");
     for (uint64_t k = 0; k < steps; k++) {
-        if (fmi2SetReal(c, in_refs, (size_t)n_in, inputs + k * n_in) != fmi2OK)
+        uint64_t row = k % rows, so_far[INTERRUPTIONS], then[INTERRUPTIONS];
+        if (fmi2SetReal(c, in_refs, (size_t)n_in, inputs + row * n_in) != fmi2OK)
             fail("fmi2SetReal");
+        if (still)
+            interruptions(so_far);
         uint64_t before = nanoseconds();
+        watch(true);
         fmi2Status status = fmi2DoStep(c, begin + (double)k * h, h, fmi2True);
+        watch(false);
         spent[k] = nanoseconds() - before;
+        if (still) {
+            interruptions(then);
+            for (int i = 0; i < INTERRUPTIONS; i++)
+                held[(uint64_t)i * steps + k] = then[i] - so_far[i];
+        }
         if (status != fmi2OK) {
             fprintf(stderr, "driver: status %d in step %llu\n", (int)status, (unsigned long long)k);
             return 1;
         }
-        if (fmi2GetReal(c, out_refs, (size_t)n_out, outputs + k * n_out) != fmi2OK)
+        if (fmi2GetReal(c, out_refs, (size_t)n_out, outputs + row * n_out) != fmi2OK)
             fail("fmi2GetReal");
     }
     if (fmi2Terminate(c) != fmi2OK)
@@ -183,7 +240,8 @@ int main(int argc, char **argv)
 
     FILE *result = fopen(argv[5], "wb");
     if (result == NULL || fwrite(spent, 8, (size_t)steps, result) != steps ||
-        fwrite(outputs, 8, (size_t)(steps * n_out), result) != steps * n_out || fclose(result) != 0)
+        fwrite(held, 8, (size_t)held_up, result) != held_up ||
+        fwrite(outputs, 8, (size_t)(rows * n_out), result) != rows * n_out || fclose(result) != 0)
         fail("writing the result");
     return 0;
 }
