@@ -13,7 +13,7 @@ USABLE := $(shell grep -qF '$(CURDIR)/.venv' .venv/pyvenv.cfg 2>/dev/null \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint bench accuracy presets identification check importers cross extremes warm-up lock clean new-environment
+.PHONY: help demo test lint bench soak accuracy presets identification check importers cross extremes warm-up lock clean new-environment
 
 help: ## list what make can do
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1 - /p' Makefile | awk -F ' - ' '{ printf "%-18s%s\n", $$1, $$2 }'
@@ -43,6 +43,11 @@ lint: $(STAMP) ## check style, types and which part may import which
 bench: $(STAMP) ## measure a step inside the FMU, into build/bench.json
 	@mkdir -p build
 	$(BIN)/python -m tissue_contact.scenarios.bench --output build/bench.json
+
+soak: $(STAMP) ## step without a pause through ten minutes of simulated time, into build/soak.json; INTEGRATOR= picks another
+	@mkdir -p build
+	$(BIN)/python -m tissue_contact.scenarios.soak --output build/soak.json \
+		--integrator $(or $(INTEGRATOR),projective_dynamics)
 
 accuracy: $(STAMP) ## measure the error of every response, into build/accuracy.json; goes on where it was stopped
 	@mkdir -p build
