@@ -19,15 +19,17 @@ LINUX = pytest.mark.skipif(native.host_platform() != "linux64", reason="needs Li
 OFFENCES = ("malloc", "calloc", "realloc", "free", "aligned_alloc", "pthread_mutex_lock", "system call 110")
 
 # What a library may take from the C library: for its messages, and to read the scene when it is instantiated.
-MESSAGES = {"snprintf", "vsnprintf", "strlen", "strcmp", "strncmp", "strcpy", "memcmp", "memchr", "strchr"}
-INSTANTIATION = {"malloc", "calloc", "free", "fopen", "fread", "fseek", "ftell", "fclose", "strerror"}
+MESSAGES = {"snprintf", "vsnprintf", "strlen", "strcmp", "strncmp", "strcpy", "memcmp", "bcmp", "strchr"}
+INSTANTIATION = {"malloc", "calloc", "free", "fopen", "fread", "fseek", "ftell", "fclose", "__ctype_b_loc"}
+MATHEMATICS = compile.ALLOWED_SYMBOLS | {"sincos"}  # a sine and a cosine of one angle
 RUN_TIME = {"__cxa_finalize", "__gmon_start__", "_ITM_deregisterTMCloneTable", "_ITM_registerTMCloneTable"}
 
 SCENE = """
     [solver]
     integrator = "{integrator}"
+    max_substeps = 10000
     [[tissue]]
-    shape = {{ kind = "patch", size = [0.03, 0.03], triangles = 600, curvature_radius = 0.1, seed = 3 }}
+    shape = {{ kind = "patch", size = [0.03, 0.03], triangles = 200, curvature_radius = 0.1, seed = 3 }}
     areal_density = 1.0
     stiffness = 100.0
     damping = 0.001
@@ -41,7 +43,7 @@ SCENE = """
     friction = 0.3
     {contact}
 """
-FIELD = "stiffness_per_area = 1e7\ndamping_per_area = 2e3"
+FIELD = "stiffness_per_area = 1e7\ndamping_per_area = 2e2"
 HULL = 'response = "hull"\nstiffness = 100.0\ndamping = 0.1'
 GRASP = "grasp = { radius = 0.004, stiffness = 100.0, damping = 0.1, slip_force = 0.05 }"
 INTEGRATORS = ("symplectic_euler", "explicit_euler", "runge_kutta_4", "implicit_euler", "projective_dynamics")
@@ -74,8 +76,9 @@ def offender(tiny, tmp_path_factory):
     source = Path(__file__).with_name("offender.c").read_bytes()
     compile.copy_sources([], folder)
     (folder / "offender.c").write_bytes(source)
-    target = compile.target("linux64").machines[0].zig
-    compile.zig(["-target", target, "-isystem", "fmi", "-shared", "-fPIC", "offender.c", "-o", "offender.so"], folder)
+    target = ["-target", compile.target("linux64").machines[0].zig]
+    flags = [*compile.C_FLAGS, "-isystem", "fmi", "-shared", "-fPIC"]
+    compile.zig([*target, *flags, "offender.c", "-o", "offender.so"], folder)
     with zipfile.ZipFile(tiny) as old, zipfile.ZipFile(folder / "offender.fmu", "w") as new:
         for name in old.namelist():
             new.writestr(name, (folder / "offender.so").read_bytes() if name.endswith(".so") else old.read(name))
@@ -101,9 +104,9 @@ def test_every_offence_is_noticed(offender, number):
 def test_a_step_in_contact_is_quiet(integrator, contact, tmp_path):
     assembly = assembled(SCENE.format(integrator=integrator, contact=contact, grasp=""))
     path = build(assembly, tmp_path / "quiet.fmu", ["linux64"])
-    outputs, _ = native.drive(path, press(100), H, watched=True)
+    outputs, _ = native.drive(path, press(40), H, watched=True)
     touching = outputs[:, index(assembly, "instrument.force[3]")] > 0.0
-    assert 30 < touching.sum() < 100  # it was in contact, came and left
+    assert 10 < touching.sum() < 40  # it was in contact, came and left
 
 
 @LINUX
@@ -112,10 +115,11 @@ def test_a_step_in_contact_is_quiet(integrator, contact, tmp_path):
 def test_a_step_of_a_grasp_is_quiet(integrator, tmp_path):
     assembly = assembled(SCENE.format(integrator=integrator, contact=HULL, grasp=GRASP))
     path = build(assembly, tmp_path / "quiet.fmu", ["linux64"])
-    jaw = np.where((np.arange(200) > 60) & (np.arange(200) < 180), 0.0, 1.0)
-    outputs, _ = native.drive(path, np.column_stack([press(200), jaw]), H, watched=True)
+    step = np.arange(40)
+    jaw = np.where((step > 15) & (step < 35), 0.0, 1.0)
+    outputs, _ = native.drive(path, np.column_stack([press(40), jaw]), H, watched=True)
     held = outputs[:, index(assembly, "instrument.grasped")]
-    assert held[50] == 0 < held[70] > held[-1]  # it took hold and lost it
+    assert held[10] == 0 < held[20] > held[-1]  # it took hold and lost it
 
 
 @LINUX
@@ -133,7 +137,7 @@ def test_a_refused_step_is_quiet_but_for_the_logger(tiny):
 def test_the_library_imports_nothing_that_locks():
     needed = imported(compile.shared_library("linux64"))
     assert "malloc" in needed  # of fmi2Instantiate: the names are those of the library
-    assert needed <= compile.ALLOWED_SYMBOLS | MESSAGES | INSTANTIATION | RUN_TIME
+    assert needed <= MATHEMATICS | MESSAGES | INSTANTIATION | RUN_TIME
 
 
 def test_no_atomic_instruction():
