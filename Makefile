@@ -13,7 +13,7 @@ USABLE := $(shell grep -qF '$(CURDIR)/.venv' .venv/pyvenv.cfg 2>/dev/null \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint bench soak accuracy presets identification check importers cross extremes warm-up lock clean new-environment
+.PHONY: help demo test lint bench soak roofline accuracy presets identification check importers cross extremes warm-up lock clean new-environment
 
 help: ## list what make can do
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1 - /p' Makefile | awk -F ' - ' '{ printf "%-18s%s\n", $$1, $$2 }'
@@ -48,6 +48,12 @@ soak: $(STAMP) ## step without a pause through ten minutes of simulated time, in
 	@mkdir -p build
 	$(BIN)/python -m tissue_contact.scenarios.soak --output build/soak.json \
 		--integrator $(or $(INTEGRATOR),projective_dynamics)
+
+# OUTPUT=docs/data/roofline.json makes the page of the docs anew.
+roofline: warm-up ## measure how close a step is to what this machine can do, into build/roofline.json
+	@mkdir -p build
+	$(BIN)/python -m tissue_contact.scenarios.roofline --output $(or $(OUTPUT),build/roofline.json)
+	$(BIN)/python docs/generate.py
 
 accuracy: $(STAMP) ## measure the error of every response, into build/accuracy.json; goes on where it was stopped
 	@mkdir -p build

@@ -3,6 +3,7 @@
 tests/test_docs.py fails when a page in docs/reference is not what this gives.
 """
 
+import json
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -259,6 +260,47 @@ def status_page() -> str:
     )
 
 
+# --- measurements -----------------------------------------------------------------------------------------
+
+
+def _times(bound: float, measured: float | None) -> list[str]:
+    """Bound and measured time [µs] with their ratio."""
+    return [f"{bound:,.1f}", *(("–", "–") if measured is None else (f"{measured:,.0f}", f"{measured / bound:.1f}"))]
+
+
+def roofline_page() -> str:
+    """How close a step is to what a machine can do, from docs/data/roofline.json."""
+    data = json.loads((ROOT / "docs" / "data" / "roofline.json").read_text("utf-8"))
+    machine = data.pop("machine")
+    rates = [f"{level['name']} {level['rate'] / 1e9:.0f} GB/s" for level in machine["levels"]]
+    text = (
+        f"{NOTE}# A step and its bounds\n\nWhat it means is told in [speed](../speed.md#how-close-to-the-limit).\n\n"
+        f"One core: {machine['cycles'] / 1e9:.2f} GHz, {machine['flops_f64'] / 1e9:.0f} Gflop/s in float64, "
+        f"{machine['flops_f32'] / 1e9:.0f} in float32, {machine['roots_f64'] / 1e9:.2f} G roots with a division a "
+        f"second; read from {', '.join(rates)}.\n"
+    )
+    headings = ("Part", "Passes", "kflop", "Roots", "KB", "Bound, µs", "Measured, µs", "Ratio", "Bound by")
+    for name, result in data.items():
+        rows = [
+            [
+                *(row["part"], f"{row['passes']}", f"{row['kflop']:,.0f}", f"{row['roots']:,.0f}", f"{row['KB']:,.0f}"),
+                *(*_times(row["bound"], row["measured"]), row["limit"]),
+            ]
+            for row in result["parts"]
+        ]
+        rows.append(["what is not timed alone", "", "", "", "", *_times(result["rest bound"], result["rest"]), ""])
+        rows.append(["the step", "", "", "", "", *_times(result["bound"], result["step"]), ""])
+        counted = result["instructions"]
+        instructions = (
+            ""
+            if counted is None
+            else f" {counted / 1e3:,.0f} thousand instructions a step, {result['instructions per cycle']:.1f} a cycle."
+        )
+        substeps = f"{result['substeps']} substep{'s' if result['substeps'] > 1 else ''} a step."
+        text += f"\n## {name}\n\n{substeps}{instructions} {result['remains']}\n\n{table(headings, rows)}"
+    return text
+
+
 def pages() -> dict[str, str]:
     """File name in docs/reference -> content."""
     return {
@@ -267,6 +309,7 @@ def pages() -> dict[str, str]:
         "scenario.md": scenario_page(),
         "data.md": data_page(),
         "status.md": status_page(),
+        "roofline.md": roofline_page(),
     }
 
 
