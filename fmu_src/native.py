@@ -137,7 +137,8 @@ def soak(fmu_path: Path, inputs: Real, h: float, repeats: int, core: int) -> Soa
     """
     result = np.frombuffer(_run(fmu_path, inputs, h, repeats=repeats, core=core), "<u8")
     steps = repeats * len(inputs)
-    return Soak(*result[: 4 * steps].reshape(4, steps), locked=bool(result[4 * steps]))
+    step_ns, preemptions, waits, faults = result[: 4 * steps].reshape(4, steps)
+    return Soak(step_ns, preemptions, waits, faults, bool(result[4 * steps]))
 
 
 def _run(

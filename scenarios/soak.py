@@ -85,11 +85,11 @@ def measure(integrator: str, iterations: int, level: str, repeats: int, core: in
 
 def table(results: dict[str, Any]) -> Table:
     """The figures as a table for the screen."""
-    shown = Table("what", "", title="ten minutes on one core; µs")
+    shown = Table("what", "", title="steps on one core; µs")
     for name, value in results.items():
         rows = {f"{name}, {key}": part for key, part in value.items()} if isinstance(value, dict) else {name: value}
         for what, figure in rows.items():
-            shown.add_row(what, f"{figure:,}" if isinstance(figure, int | float) else figure)
+            shown.add_row(what, f"{figure}" if isinstance(figure, bool | str) else f"{figure:,}")
     return shown
 
 
