@@ -66,16 +66,21 @@ def _residual(m: Model, passes: int) -> Part:
 def _pressed_rows(m: Model, scratch: Scratch, passes: int) -> Part:
     """A dense Cholesky factor of the pressed directions, and two passes over the path of their rows in the factor."""
     size = int(scratch.touched_count[0])  # at least one direction each
-    path = np.flatnonzero(scratch.path)
-    entries = int((m.factor_start[path + 1].astype(int) - m.factor_start[path]).sum())
+    start, rows = m.factor_start.astype(int), m.factor_vertex.size
+    path = set()
+    for row in scratch.touched[:size].astype(int).tolist():
+        while row < rows and row not in path:
+            path.add(row)
+            row = int(m.factor_row[start[row]]) if start[row] < start[row + 1] else rows
+    entries = sum(int(start[row + 1] - start[row]) for row in path)
     dense = size**3 / 3 + 2 * size**2 + 6 * size**2 / 2
     return Part("pressed rows", passes, dense + 12 * entries, size, 2 * entries * (REAL + INDEX) + size**2 / 2 * REAL)
 
 
 def _energies(m: Model) -> Part:
-    """Of a spring 3 and 5, strain 7; of a vertex 18; every array once."""
+    """Of a spring 3 and 5, what it is longer and its energy 4; of a vertex 18; every array once."""
     s, v = m.spring_i.size, m.rest_x.size
-    return Part("energies", 1, 15 * s + 18 * v, s, s * (2 * INDEX + 2 * REAL) + v * (3 * VECTOR + REAL))
+    return Part("energies", 1, 12 * s + 18 * v, s, s * (2 * INDEX + 2 * REAL) + v * (3 * VECTOR + REAL))
 
 
 def _detection(m: Model, passes: int) -> Part:
