@@ -137,12 +137,13 @@ def measured(case: Case, folder: Path, spread: Spread, say: Say) -> tuple[Kept, 
 
 
 def time_runs(case: Case, kept: Kept, runs: Mapping[str, dict[str, Any]], say: Say) -> None:
-    """Add the median time of a step in contact [µs] to every run that was not refused."""
+    """Add the median time of a step in contact [µs] to every run, or what refused it there."""
     say(f"{case.name}: times")
     jobs = {c.words: case.edited(c.keys) for c in case.candidates if not runs[c.words]["refusal"]}
     times = timed({job.key: job for job in jobs.values()}, ROUNDS, kept, lambda: None)
     for words, job in jobs.items():
-        runs[words]["us"] = _short(times[job.key])
+        us = times[job.key]
+        runs[words]["refusal" if isinstance(us, str) else "us"] = _short(us)
 
 
 def _short(value: Any) -> Any:
