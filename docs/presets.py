@@ -146,14 +146,14 @@ def figure(data: Found) -> bytes:
     drawn = Figure(figsize=(9.5, 5.5), layout="constrained")
     FigureCanvasAgg(drawn)
     axes = drawn.subplots()
-    for n, (name, about) in enumerate(data["scenarios"].items()):
+    for name, about in data["scenarios"].items():
         done = {words: run for words, run in about["runs"].items() if not run["refusal"] and run["error"].get("force")}
         line = [(run["us"], 100 * run["error"]["force"]) for run in done.values()]
         if len(line) < 2:
             continue  # every preset is the same there
-        axes.plot(*zip(*line, strict=True), color=f"C{n % 10}", lw=0.8, label=name)
+        (drawn_line,) = axes.plot(*zip(*line, strict=True), lw=0.8, label=name)
         for words, (us, error) in zip(done, line, strict=True):
-            axes.plot(us, error, MARKS[words], color=f"C{n % 10}", ms=6)
+            axes.plot(us, error, MARKS[words], color=drawn_line.get_color(), ms=6)
     for words, mark in MARKS.items():
         names = [f"“{name}”" for name, preset in PRESETS.items() if preset.words == words]
         axes.plot([], [], mark, color="black", ls="none", label=" ".join([words, *names]))
