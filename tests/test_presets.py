@@ -109,7 +109,7 @@ def test_the_schema_knows_the_presets_and_what_they_are():
 def test_the_command_line_puts_a_preset_before_that_of_the_scene(tmp_path):
     done = command("run", "press", "--preset", "quick", "-o", tmp_path)
     assert done.returncode == 2
-    line = one_line(done)
+    line = one_line(done.stderr)
     assert "--preset: the value must be fast or balanced or accurate; found quick" in line
     assert read_scenario("press", "fast").scene.solver.integrator == PRESETS["fast"].integrator
 
