@@ -3,17 +3,18 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/installed
+PEERS := .venv-peers
 WORKERS ?= 2
 SOURCES := $(wildcard model/*.py model/kernels/*.py fmu_src/*.py fmu_src/c/* scenarios/*.py)
 MODERN := import sys; sys.exit(sys.version_info < (3, 11))
 
 # Scripts of an environment name the folder that it was made in: moved, copied or without its Python it is of no use.
-USABLE := $(shell grep -qF '$(CURDIR)/.venv' .venv/pyvenv.cfg 2>/dev/null \
-	&& $(BIN)/python -c '$(MODERN)' 2>/dev/null && echo yes)
+unusable_or_nothing = $(if $(shell grep -qF '$(CURDIR)/$(1)' $(1)/pyvenv.cfg 2>/dev/null \
+	&& $(1)/bin/python -c '$(MODERN)' 2>/dev/null && echo yes),,unusable)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint bench soak roofline accuracy presets identification check importers cross extremes warm-up lock clean new-environment
+.PHONY: help demo test lint bench peers soak roofline accuracy presets identification check importers cross extremes warm-up lock clean unusable
 
 help: ## list what make can do
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1 - /p' Makefile | awk -F ' - ' '{ printf "%-18s%s\n", $$1, $$2 }'
@@ -55,6 +56,11 @@ roofline: warm-up ## measure how close a step is to what this machine can do, in
 	$(BIN)/python -m tissue_contact.scenarios.roofline --output $(or $(OUTPUT),build/roofline.json)
 	$(BIN)/python docs/generate.py
 
+# The peers are in an environment of their own, with the product and the versions of what it needs itself.
+peers: $(PEERS)/installed ## measure detection and step beside other libraries, into build/peers.json
+	@mkdir -p build
+	$(PEERS)/bin/python -m tissue_contact.scenarios.peers --output build/peers.json
+
 accuracy: $(STAMP) ## measure the error of every response, into build/accuracy.json; goes on where it was stopped
 	@mkdir -p build
 	$(BIN)/python -m tissue_contact.scenarios.accuracy --output build/accuracy.json
@@ -90,16 +96,23 @@ build/press.fmu: $(STAMP) scenarios/press/scene.toml $(SOURCES)
 
 lock: $(STAMP) ## pin every dependency anew, with hashes
 	$(BIN)/pip-compile --quiet --upgrade --output-file requirements.lock pyproject.toml
+	$(BIN)/pip-compile --quiet --upgrade --extra peers --constraint requirements.lock \
+		--output-file requirements-peers.lock pyproject.toml
 
 clean: ## remove what was built; the environment stays
 	rm -rf build .pytest_cache .ruff_cache .mypy_cache .import_linter_cache .hypothesis
 
-$(STAMP): requirements.lock pyproject.toml $(if $(USABLE),,new-environment)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+$(STAMP): requirements.lock $(call unusable_or_nothing,.venv)
+$(PEERS)/installed: requirements-peers.lock $(call unusable_or_nothing,$(PEERS))
+
+$(STAMP) $(PEERS)/installed: pyproject.toml
+	$(if $(filter unusable,$^),$(NEW_ENVIRONMENT))
+	$(@D)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r $(filter %.lock,$^)
 	@# setuptools warns of every editable installation
-	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	PYTHONWARNINGS=ignore $(@D)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
-new-environment:
-	@$(PYTHON) -c '$(MODERN)' || { echo "Python 3.11 or newer is needed: make PYTHON=python3.12" >&2; exit 1; }
-	$(PYTHON) -m venv --clear '$(CURDIR)/.venv'
+define NEW_ENVIRONMENT
+@$(PYTHON) -c '$(MODERN)' || { echo "Python 3.11 or newer is needed: make PYTHON=python3.12" >&2; exit 1; }
+$(PYTHON) -m venv --clear '$(CURDIR)/$(@D)'
+endef

@@ -1,0 +1,275 @@
+"""`make peers`: detection and step beside libraries of the package index, on one scene, in one run, on one core.
+
+Each is measured in a process of its own, so that one that is missing, fails or hangs leaves the others alone: it is
+named with the reason. The rounds go through all of them one after the other, and the fastest round of each counts.
+"""
+
+import importlib.metadata
+import json
+import math
+import os
+import platform
+import signal
+import tempfile
+from collections.abc import Callable, Mapping
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from tissue_contact.files import publish
+from tissue_contact.fmu.build import build
+from tissue_contact.fmu.native import drive, host_platform
+from tissue_contact.kernels.layout import Real
+from tissue_contact.scenarios import bench, peer_detection, peer_step
+from tissue_contact.scenarios.peer_scene import PROJECTIVE, PeerScene, assembly_of, record
+
+EVERY = {"1.5K": 4, "6K": 4, "24K": 10, "96K": 20}  # of the milliseconds in contact, how many are one
+STEPPED = "6K"  # the sheet on which steps are compared
+ROUNDS = 3
+LIMIT = 120.0  # s, for one of them in one round
+OURS = "tissue-contact"
+# What a name stands for in the tables, and the package whose version is told
+TOLD = {
+    OURS: ("tissue-contact, exact pairs", "tissue-contact"),
+    "tissue-contact, near the field": ("tissue-contact, triangles near the field", "tissue-contact"),
+    "embreex": ("Embree, rays of edges, rebuilt", "embreex"),
+    "meshlib": ("MeshLib, refitted", "meshlib"),
+    "coal": ("coal, OBBRSS refitted", "coal"),
+    "python-fcl": ("FCL, rebuilt", "python-fcl"),
+    "symplectic_euler": ("tissue-contact, FMU, symplectic_euler", "tissue-contact"),
+    "projective_dynamics 1": ("tissue-contact, FMU, projective_dynamics, 1 iteration", "tissue-contact"),
+    "projective_dynamics 2": ("tissue-contact, FMU, projective_dynamics, 2 iterations", "tissue-contact"),
+    "edge loop": ("plain loop over the springs, 22 substeps", "numba"),
+    "pypbd": ("pyPBD, XPBD, 10 iterations, no contact", "pypbd"),
+    "mujoco": ("MuJoCo flex, discrete, CG", "mujoco"),
+    "pybullet": ("pybullet deformable, 20 substeps", "pybullet"),
+}
+FMUS = {
+    "symplectic_euler": "",
+    "projective_dynamics 1": PROJECTIVE.format(1),
+    "projective_dynamics 2": PROJECTIVE.format(2),
+}
+
+Say = Callable[[str], None]
+
+
+class LeftOut(Exception):
+    """Why something could not be measured."""
+
+
+# --- one at a time, apart ---------------------------------------------------------------------------------
+
+
+def _send(sender: Connection, work: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    try:
+        sender.send((work(*arguments), ""))
+    except ImportError as error:
+        sender.send((None, f"not installed: {error}"))
+    except Exception as error:
+        sender.send((None, f"{type(error).__name__}: {error}"))
+
+
+def apart(work: Callable[..., Any], *arguments: Any, limit: float = LIMIT) -> Any:
+    """What a function gives in a process of its own; raises LeftOut where it gives nothing."""
+    context = get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_send, args=(sender, work, arguments))
+    process.start()
+    sender.close()
+    try:
+        if not receiver.poll(limit):
+            raise LeftOut(f"not done after {limit:g} s")
+        result, reason = receiver.recv()
+    except EOFError:
+        process.join()
+        code = process.exitcode or 0
+        end = f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+        raise LeftOut(f"ended {end}") from None
+    finally:
+        process.kill()
+        process.join()
+    if reason:
+        raise LeftOut(reason)
+    return result
+
+
+# --- measuring --------------------------------------------------------------------------------------------
+
+
+def pair_difference(pairs: Real, ours: Real) -> dict[str, float]:
+    """How the numbers of pairs differ from ours: the share of moments that agree, the least and the most."""
+    difference = np.asarray(pairs) - np.asarray(ours)
+    return {
+        "pairs, median": float(np.median(pairs)),
+        "equal": float(np.mean(difference == 0)),
+        "least difference": int(difference.min()),
+        "most difference": int(difference.max()),
+    }
+
+
+def fastest(rounds: list[Real]) -> Real:
+    """The round with the least median."""
+    return min(rounds, key=lambda us: float(np.median(us)))
+
+
+def rounds_of(names: list[str], work: Callable[[str], Any], left_out: dict[str, str], say: Say) -> dict[str, list[Any]]:
+    """Results of every round of all names; one that fails is left out from then on."""
+    found: dict[str, list[Any]] = {name: [] for name in names}
+    for n in range(ROUNDS):
+        for name in list(found):
+            say(f"round {n + 1} of {ROUNDS}: {name}")
+            try:
+                found[name].append(work(name))
+            except LeftOut as error:
+                left_out[name] = str(error)
+                say(f"left out: {name}: {error}")
+                del found[name]
+    return found
+
+
+def detection(scene: PeerScene, left_out: dict[str, str], say: Say) -> dict[str, Any]:
+    """Figures of all detections on one sheet."""
+    names = [name for name in peer_detection.WAYS if name not in left_out]
+    found = rounds_of(names, lambda name: apart(peer_detection.measure, name, scene), left_out, say)
+    ours = found[OURS][0][1]
+    return {
+        name: {
+            **bench.figures(fastest([us for us, _ in rounds])),
+            "moments": len(scene.moments),
+            **pair_difference(rounds[0][1], ours),
+        }
+        for name, rounds in found.items()
+    }
+
+
+def stepping(scene: PeerScene, left_out: dict[str, str], say: Say) -> dict[str, Any]:
+    """Figures of all steps on one sheet."""
+    fmus = {}
+    for name, solver in FMUS.items():
+        say(f"building: {name}")
+        fmus[name] = build(assembly_of(scene.sheet, solver), scene.sheet.with_name(f"{name}.fmu"), [host_platform()])
+    touching = slice(int(scene.moments[0]) - 1, int(scene.moments[-1]))
+
+    def work(name: str) -> tuple[Real, float]:
+        if name in fmus:
+            _, ns = drive(fmus[name], bench.poses()[1:], bench.STEP)
+            return ns[touching] / 1000, scene.lowest
+        result: tuple[Real, float] = apart(peer_step.measure, name, scene)
+        return result
+
+    results: dict[str, Any] = {}
+    for name, rounds in rounds_of([*fmus, *peer_step.WAYS], work, left_out, say).items():
+        us = fastest([us for us, _ in rounds])
+        results[name] = {
+            **bench.figures(us),
+            "moments": len(us),
+            "real-time factor": round(1e6 * bench.STEP / float(np.median(us)), 4),
+            "lowest": rounds[0][1],
+        }
+    return results
+
+
+def _processor() -> str:
+    """Name of the processor's model."""
+    about = Path("/proc/cpuinfo")
+    lines = about.read_text().splitlines() if about.exists() else []
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def measure(say: Say, levels: list[str]) -> dict[str, Any]:
+    """All the figures of `make peers`."""
+    left_out: dict[str, str] = {}
+    results: dict[str, Any] = {"processor": _processor(), "rounds": ROUNDS, "detection": {}, "step": {}}
+    with tempfile.TemporaryDirectory() as folder:
+        for level in levels:
+            say(f"{level} triangles: recording the motion")
+            sheet = Path(folder) / f"{level}.obj"
+            sheet.write_text(bench.sheet(bench.LEVELS[level]))
+            scene = record(sheet, EVERY[level])
+            results["detection"][level] = detection(scene, left_out, say)
+            if level == STEPPED:
+                results["step"] = stepping(scene, left_out, say)
+    packages = {package for name, (_, package) in TOLD.items() if name not in left_out}
+    results["versions"] = {package: importlib.metadata.version(package) for package in sorted(packages)}
+    results["left out"] = left_out
+    return results
+
+
+# --- telling ----------------------------------------------------------------------------------------------
+
+
+def ratio(us: float, ours: float) -> str:
+    """How many times ours."""
+    return f"{us / ours:.2g}" if us < 100 * ours else f"{us / ours:,.0f}"
+
+
+def _microseconds(us: float) -> str:
+    return f"{us:,.1f}" if us < 100 else f"{us:,.0f}"
+
+
+def _version(results: Mapping[str, Any], name: str) -> str:
+    return str(results["versions"][TOLD[name][1]])
+
+
+def _pairs(name: str, figures: Mapping[str, Any]) -> str:
+    """What the number of pairs says of a detection."""
+    if name == "tissue-contact, near the field":
+        return f"{figures['pairs, median']:.0f} triangles, no pairs"
+    least, most = figures["least difference"], figures["most difference"]
+    if least == most == 0:
+        return f"{figures['pairs, median']:.0f}" if name == OURS else "as many as ours"
+    return f"{100 * figures['equal']:.0f} % of the moments as many, else {least:+d} to {most:+d}".replace("-", "−")
+
+
+def detection_rows(results: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Headings and rows of the table of detections."""
+    rows = []
+    for level, found in results["detection"].items():
+        for name, f in sorted(found.items(), key=lambda item: float(item[1]["median"])):
+            shown = _microseconds(f["median"]), _microseconds(f["p99"]), ratio(f["median"], found[OURS]["median"])
+            rows.append([level, TOLD[name][0], *shown, _pairs(name, f), _version(results, name)])
+    return ["Sheet", "Detection", "Median [µs]", "p99 [µs]", "Ratio", "Pairs", "Version"], rows
+
+
+def step_rows(results: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Headings and rows of the table of steps."""
+    rows, ours = [], results["step"]["symplectic_euler"]["median"]
+    for name, f in sorted(results["step"].items(), key=lambda item: float(item[1]["median"])):
+        times = [_microseconds(f[key]) for key in ("median", "p99", "p99.9", "max")]
+        lowest = f"{1e3 * f['lowest']:.2f} mm".replace("-", "−") if math.isfinite(f["lowest"]) else "not finite"
+        factors = f"{f['real-time factor']:.2g}", ratio(f["median"], ours)
+        rows.append([TOLD[name][0], *times, *factors, lowest, f"{f['moments']}", _version(results, name)])
+    headings = ["Step", "Median [µs]", "p99", "p99.9", "Maximum", "Real-time factor", "Ratio", "Lowest vertex", "Steps"]
+    return [*headings, "Version"], rows
+
+
+def left_out_lines(results: Mapping[str, Any]) -> list[str]:
+    """What could not be measured, and why."""
+    return [f"left out: {name}: {reason}" for name, reason in results["left out"].items()]
+
+
+def main(output: Path = Path("build/peers.json"), levels: str = ",".join(EVERY)) -> None:
+    """Measure, print and keep the figures."""
+    if hasattr(os, "sched_setaffinity"):  # libraries that use all the cores would not be compared with one
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    console = Console()
+    results = measure(lambda text: console.print(text, style="dim"), levels.split(","))
+    for title, (headings, rows) in (("Detection", detection_rows(results)), ("Step", step_rows(results))):
+        table = Table(*headings, title=title)
+        for row in rows:
+            table.add_row(*row)
+        console.print(table)
+    for line in left_out_lines(results):
+        console.print(line, style="bold")
+    publish(output, (json.dumps(results, indent=1) + "\n").encode())
+    console.print(f"kept in {output}; python docs/peers.py puts it into docs/peers.md")
+
+
+if __name__ == "__main__":
+    typer.run(main)
