@@ -6,6 +6,7 @@ millimetres for the peers: some have absolute tolerances.
 """
 
 import time
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -245,7 +246,7 @@ def _crossed(faces: list[list[int]], hit: Any) -> Any:
     return ((own, int(hit[edge])) for edge in np.flatnonzero(hit >= 0) for own in faces[edge])
 
 
-WAYS: dict[str, type[Detection]] = {
+WAYS: dict[str, Callable[[PeerScene], Detection]] = {
     "tissue-contact": Ours,
     "tissue-contact, near the field": OursNear,
     "embreex": Embree,

@@ -32,7 +32,7 @@ class PeerScene(NamedTuple):
     rod: Mesh  # in its own frame
     moments: Index  # [ms], shape [n]
     positions: Real  # of the tissue's vertices [m], shape [n, V, 3]
-    lowest: float  # [m] height of the tissue's lowest vertex at the end of the press
+    lowest: Real  # [m] height of the tissue's lowest vertex at every millisecond
 
 
 def assembly_of(sheet: Path, solver: str = "", contact: str = bench.CONTACT) -> Assembly:
@@ -47,10 +47,9 @@ def record(sheet: Path, every: int) -> PeerScene:
     body = assembly_of(sheet, contact=HULL).model  # a distance field keeps no triangles
     instance = Instance(assembly)
     state, model = instance.state, instance.model
-    moments, positions, lowest = [], [], np.nan
+    moments, positions, lowest = [], [], []
     for k in run(instance, bench.poses(), bench.STEP):
-        if k == PRESSED:
-            lowest = float(state.z.min())
+        lowest.append(float(state.z.min()))
         if state.pairs[0] > 0 and k % every == 0:
             moments.append(k)
             positions.append(np.column_stack([state.x, state.y, state.z]))
@@ -66,5 +65,5 @@ def record(sheet: Path, every: int) -> PeerScene:
         ),
         np.array(moments),
         np.array(positions),
-        lowest,
+        np.array(lowest),
     )
