@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import LinearNDInterpolator
 
 from tissue_contact.assemble import assemble
 from tissue_contact.assembly import Assembly
@@ -25,7 +26,7 @@ class Mesh(NamedTuple):
 
 
 class PeerScene(NamedTuple):
-    """A sheet, a rod, and where both were at some moments of one run of ours, all of them in contact."""
+    """A sheet, a rod, and where the sheet was at some moments of one run of ours, all of them in contact."""
 
     sheet: Path  # OBJ file
     tissue: Mesh  # at rest
@@ -44,26 +45,38 @@ def assembly_of(sheet: Path, solver: str = "", contact: str = bench.CONTACT) -> 
 def record(sheet: Path, every: int) -> PeerScene:
     """Run the bench's motion and keep where the tissue is, at every so many of the steps in contact."""
     assembly = assembly_of(sheet, PROJECTIVE.format(2))
-    body = assembly_of(sheet, contact=HULL).model  # a distance field keeps no triangles
     instance = Instance(assembly)
-    state, model = instance.state, instance.model
+    state = instance.state
     moments, positions, lowest = [], [], []
     for k in run(instance, bench.poses(), bench.STEP):
         lowest.append(float(state.z.min()))
         if state.pairs[0] > 0 and k % every == 0:
             moments.append(k)
             positions.append(np.column_stack([state.x, state.y, state.z]))
-    return PeerScene(
-        sheet,
+    return PeerScene(sheet, *_meshes(sheet), np.array(moments), np.array(positions), np.array(lowest))
+
+
+def moved_alike(scene: PeerScene, sheet: Path, every: int) -> PeerScene:
+    """Another sheet in the same motion, each vertex moved as the place where it lies, at fewer moments."""
+    tissue, rod = _meshes(sheet)
+    moments, displacement = scene.moments[::every], scene.positions[::every] - scene.tissue.vertices
+    columns = displacement.transpose(1, 0, 2).reshape(len(scene.tissue.vertices), -1)
+    there = LinearNDInterpolator(scene.tissue.vertices[:, :2], columns, fill_value=0.0)(tissue.vertices[:, :2])
+    positions = tissue.vertices + there.reshape(-1, len(moments), 3).transpose(1, 0, 2)
+    return scene._replace(sheet=sheet, tissue=tissue, rod=rod, moments=moments, positions=positions)
+
+
+def _meshes(sheet: Path) -> tuple[Mesh, Mesh]:
+    """Sheet and rod at rest; the rod's triangles are those of a response that has any."""
+    assembly = assembly_of(sheet, contact=HULL)
+    model, state = assembly.model, assembly.state
+    return (
         Mesh(
-            np.column_stack([assembly.state.x, assembly.state.y, assembly.state.z]),
+            np.column_stack([state.x, state.y, state.z]),
             np.column_stack([model.triangle_a, model.triangle_b, model.triangle_c]),
         ),
         Mesh(
-            np.column_stack([body.body_x, body.body_y, body.body_z]),
-            np.column_stack([body.body_a, body.body_b, body.body_c]),
+            np.column_stack([model.body_x, model.body_y, model.body_z]),
+            np.column_stack([model.body_a, model.body_b, model.body_c]),
         ),
-        np.array(moments),
-        np.array(positions),
-        np.array(lowest),
     )

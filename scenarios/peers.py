@@ -26,10 +26,11 @@ from tissue_contact.fmu.build import build
 from tissue_contact.fmu.native import drive, host_platform
 from tissue_contact.kernels.layout import Real
 from tissue_contact.scenarios import bench, peer_detection, peer_step
-from tissue_contact.scenarios.peer_scene import PRESSED, PROJECTIVE, PeerScene, assembly_of, record
+from tissue_contact.scenarios.peer_scene import PRESSED, PROJECTIVE, PeerScene, assembly_of, moved_alike, record
 
-EVERY = {"1.5K": 4, "6K": 4, "24K": 10, "96K": 20}  # of the milliseconds in contact, how many are one
-STEPPED = "6K"  # the sheet on which steps are compared
+STEPPED = "6K"  # the sheet that is run, and on which steps are compared
+EVERY = 4  # of its milliseconds in contact, how many are one moment to find pairs at
+THINNED = {"1.5K": 1, "6K": 1, "24K": 2, "96K": 5}  # of these moments, how many are one on a sheet
 ROUNDS = 3
 LIMIT = 120.0  # s, for one of them in one round
 OURS = "tissue-contact"
@@ -193,14 +194,16 @@ def measure(say: Say, levels: list[str]) -> dict[str, Any]:
     left_out: dict[str, str] = {}
     results: dict[str, Any] = {"processor": _processor(), "rounds": ROUNDS, "detection": {}, "step": {}}
     with tempfile.TemporaryDirectory() as folder:
-        for level in levels:
-            say(f"{level} triangles: recording the motion")
-            sheet = Path(folder) / f"{level}.obj"
+        say("recording the motion")
+        sheets = {level: Path(folder) / f"{level}.obj" for level in {STEPPED, *levels}}
+        for level, sheet in sheets.items():
             sheet.write_text(bench.sheet(bench.LEVELS[level]))
-            scene = record(sheet, EVERY[level])
+        recorded = record(sheets[STEPPED], EVERY)
+        results["step"] = stepping(recorded, left_out, say)
+        for level in levels:
+            say(f"{level} triangles")
+            scene = recorded if level == STEPPED else moved_alike(recorded, sheets[level], THINNED[level])
             results["detection"][level] = detection(scene, left_out, say)
-            if level == STEPPED:
-                results["step"] = stepping(scene, left_out, say)
     packages = {package for name, (_, package) in TOLD.items() if name not in left_out}
     results["versions"] = {package: importlib.metadata.version(package) for package in sorted(packages)}
     results["left out"] = left_out
@@ -261,7 +264,7 @@ def left_out_lines(results: Mapping[str, Any]) -> list[str]:
     return [f"left out: {name}: {reason}" for name, reason in results["left out"].items()]
 
 
-def main(output: Path = Path("build/peers.json"), levels: str = ",".join(EVERY)) -> None:
+def main(output: Path = Path("build/peers.json"), levels: str = ",".join(THINNED)) -> None:
     """Measure, print and keep the figures."""
     if hasattr(os, "sched_setaffinity"):  # libraries that use all the cores would not be compared with one
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
