@@ -68,7 +68,8 @@ class LeftOut(Exception):
 # --- one at a time, apart ---------------------------------------------------------------------------------
 
 
-def _send(sender: Connection, work: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+def _send(sender: Connection, folder: str, work: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    os.chdir(folder)  # some libraries leave a log where they run
     try:
         sender.send((work(*arguments), ""))
     except ImportError as error:
@@ -81,21 +82,22 @@ def apart(work: Callable[..., Any], *arguments: Any, limit: float = LIMIT) -> An
     """What a function gives in a process of its own; raises LeftOut where it gives nothing."""
     context = get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_send, args=(sender, work, arguments))
-    process.start()
-    sender.close()
-    try:
-        if not receiver.poll(limit):
-            raise LeftOut(f"not done after {limit:g} s")
-        result, reason = receiver.recv()
-    except EOFError:
-        process.join()
-        code = process.exitcode or 0
-        end = f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
-        raise LeftOut(f"ended {end}") from None
-    finally:
-        process.kill()
-        process.join()
+    with tempfile.TemporaryDirectory() as folder:
+        process = context.Process(target=_send, args=(sender, folder, work, arguments))
+        process.start()
+        sender.close()
+        try:
+            if not receiver.poll(limit):
+                raise LeftOut(f"not done after {limit:g} s")
+            result, reason = receiver.recv()
+        except EOFError:
+            process.join()
+            code = process.exitcode or 0
+            end = f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+            raise LeftOut(f"ended {end}") from None
+        finally:
+            process.kill()
+            process.join()
     if reason:
         raise LeftOut(reason)
     return result
