@@ -6,7 +6,6 @@ does not say the same.
 
 import io
 import json
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from pages import filled, table
 
 from tissue_contact.scenarios import accuracy
 
@@ -60,12 +60,6 @@ def error(run: Found | None) -> str:
         return f"refused at {1e3 * run['refused at']:.0f} ms"
     cell = f"{percent(run['error'])}, {percent(run['peak error'], sign=True)}"
     return f"*{cell}*" if run["balance"] > RESTLESS else cell
-
-
-def table(headings: list[str], rows: list[list[str]]) -> str:
-    """A Markdown table."""
-    lines = [headings, ["---"] * len(headings), *rows]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 # --- tables -----------------------------------------------------------------------------------------------
@@ -183,14 +177,9 @@ TABLES = {
 }
 
 
-def filled(page: str, data: Found) -> str:
-    """The page with its tables made anew; each stands between two comments that name it."""
-    for name, made in TABLES.items():
-        parts = re.split(rf"(<!-- {name} -->\n).*?(?=<!-- end -->)", page, flags=re.DOTALL)
-        if len(parts) != 3:
-            raise ValueError(f"{PAGE.name} must have one place for the table {name}")
-        page = parts[0] + parts[1] + made(data) + parts[2]
-    return page
+def page_of(page: str, data: Found) -> str:
+    """The page with its tables made anew."""
+    return filled(page, {name: made(data) for name, made in TABLES.items()})
 
 
 # --- figure -----------------------------------------------------------------------------------------------
@@ -256,7 +245,7 @@ def main() -> None:
     data = accuracy.summary(kept)
     DATA.parent.mkdir(exist_ok=True)
     DATA.write_text(json.dumps(data, indent=1) + "\n", "utf-8")
-    PAGE.write_text(filled(PAGE.read_text("utf-8"), data), "utf-8")
+    PAGE.write_text(page_of(PAGE.read_text("utf-8"), data), "utf-8")
     FIGURE.write_bytes(figure(kept, data))
 
 

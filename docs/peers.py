@@ -6,14 +6,14 @@ docs/data/peers.json; tests/test_peers.py fails when the page does not say the s
 
 import io
 import json
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from pages import filled, table
 
 from tissue_contact.scenarios import peers
 
@@ -25,11 +25,6 @@ OWN, OTHER = "#1b9e77", "#4477aa"
 Found = Mapping[str, Any]
 
 
-def table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
-    return "".join(f"| {' | '.join(line)} |\n" for line in (headings, ["---"] * len(headings), *rows))
-
-
 def run_text(data: Found) -> str:
     """On what it was measured, and what was left out."""
     left_out = data["left out"]
@@ -38,19 +33,14 @@ def run_text(data: Found) -> str:
     return f"{head} {'Left out:' if left_out else 'Nothing was left out.'}\n{reasons and chr(10) + reasons}"
 
 
-def filled(page: str, data: Found) -> str:
-    """The page with its tables made anew."""
-    made = {
+def page_of(page: str, data: Found) -> str:
+    """The page with what was measured."""
+    texts = {
         "run": run_text(data),
         "detection": table(*peers.detection_rows(data)),
         "step": table(*peers.step_rows(data)),
     }
-    for name, text in made.items():
-        parts = re.split(rf"(<!-- {name} -->\n).*?(?=<!-- end -->)", page, flags=re.DOTALL)
-        if len(parts) != 3:
-            raise ValueError(f"{PAGE.name} must have one place for {name}")
-        page = parts[0] + parts[1] + text + parts[2]
-    return page
+    return filled(page, texts)
 
 
 def bars(axes: Axes, found: Mapping[str, Found], reference: str, title: str) -> None:
@@ -89,7 +79,7 @@ def main() -> None:
     """Data, tables and figure from what was measured."""
     data = json.loads(MEASURED.read_text("utf-8"))
     DATA.write_text(json.dumps(data, indent=1) + "\n", "utf-8")
-    PAGE.write_text(filled(PAGE.read_text("utf-8"), data), "utf-8")
+    PAGE.write_text(page_of(PAGE.read_text("utf-8"), data), "utf-8")
     FIGURE.write_bytes(figure(data))
 
 

@@ -6,7 +6,6 @@ say the same.
 
 import io
 import json
-import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
+from pages import filled, table
 
 from tissue_contact.presets import PRESETS
 from tissue_contact.scenarios.presets import CANDIDATES, SHEET
@@ -26,12 +26,6 @@ SHOWN = ("force", "peak", "impulse", "depth")
 MARKS = dict(zip((c.words for c in CANDIDATES), "v^<>s", strict=True))
 
 Found = Mapping[str, Any]
-
-
-def table(headings: list[str], rows: list[list[str]]) -> str:
-    """A Markdown table."""
-    lines = [headings, ["---"] * len(headings), *rows]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def cell(share: float | None) -> str:
@@ -128,14 +122,9 @@ TABLES = {
 }
 
 
-def filled(page: str, data: Found) -> str:
-    """The page with its tables made anew; each stands between two comments that name it."""
-    for name, made in TABLES.items():
-        parts = re.split(rf"(<!-- {name} -->\n).*?(?=<!-- end -->)", page, flags=re.DOTALL)
-        if len(parts) != 3:
-            raise ValueError(f"{PAGE.name} must have one place for the table {name}")
-        page = parts[0] + parts[1] + made(data) + parts[2]
-    return page
+def page_of(page: str, data: Found) -> str:
+    """The page with its tables made anew."""
+    return filled(page, {name: made(data) for name, made in TABLES.items()})
 
 
 # --- figure -----------------------------------------------------------------------------------------------
@@ -175,7 +164,7 @@ def main() -> None:
     text = MEASURED.read_text("utf-8")
     data = json.loads(text)
     DATA.write_text(text, "utf-8")
-    PAGE.write_text(filled(PAGE.read_text("utf-8"), data), "utf-8")
+    PAGE.write_text(page_of(PAGE.read_text("utf-8"), data), "utf-8")
     FIGURE.write_bytes(figure(data))
 
 

@@ -159,7 +159,7 @@ def test_page_tells_what_was_measured():
     module = page_module()
     page = module.PAGE.read_text("utf-8")
     data = json.loads(module.DATA.read_text("utf-8"))
-    assert module.filled(page, data) == page, "run python docs/accuracy.py"
+    assert module.page_of(page, data) == page, "run python docs/accuracy.py"
 
 
 def test_page_lacks_no_run():

@@ -153,7 +153,7 @@ def test_the_page_says_what_was_measured():
     module = page_module()
     data = json.loads(module.DATA.read_text("utf-8"))
     page = module.PAGE.read_text("utf-8")
-    assert module.filled(page, data) == page, "run python docs/peers.py"
+    assert module.page_of(page, data) == page, "run python docs/peers.py"
 
 
 def test_rows_compare_with_ours():

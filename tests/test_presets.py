@@ -185,7 +185,7 @@ def measured_data():
 def test_page_tells_what_was_measured():
     module = page_module()
     page = module.PAGE.read_text("utf-8")
-    assert module.filled(page, measured_data()) == page, "run python docs/presets.py"
+    assert module.page_of(page, measured_data()) == page, "run python docs/presets.py"
 
 
 def test_the_presets_are_those_that_were_measured():
