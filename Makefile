@@ -17,7 +17,7 @@ unusable_or_nothing = $(if $(shell grep -qF '$(CURDIR)/$(1)' $(1)/pyvenv.cfg 2>/
 .PHONY: help demo test lint bench peers soak roofline accuracy presets identification check importers cross extremes warm-up lock clean unusable
 
 help: ## list what make can do
-	@sed -n 's/^\([a-z-]*\):.*## /  make \1 - /p' Makefile | awk -F ' - ' '{ printf "%-18s%s\n", $$1, $$2 }'
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1 - /p' Makefile | awk -F ' - ' '{ printf "%-22s%s\n", $$1, $$2 }'
 
 demo: build/press.fmu ## build the FMU of scenarios/press for every platform and run the scenario
 	$(BIN)/tissue-contact run press -o build/press
