@@ -298,7 +298,9 @@ def test_interrupted_build_leaves_what_was_there(tmp_path):
 def test_interrupted_compilation_leaves_nothing(tmp_path):
     (tmp_path / "out").mkdir()
     code = (
-        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        f"import signal, sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        # a shell makes what it starts in the background deaf to it
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from pathlib import Path\n"
         "from fmu_fixture import KERNELS, tiny_assembly\n"
         "from tissue_contact.fmu.build import build\n"
