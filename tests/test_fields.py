@@ -23,7 +23,7 @@ from tissue_contact.kernels.bundle import Bundle
 from tissue_contact.kernels.collision import support
 from tissue_contact.kernels.compiled import kernel
 from tissue_contact.kernels.field import FAR, GRID, NONE, body_distance, fields_of, part_distance
-from tissue_contact.kernels.pressure import out_of_reach
+from tissue_contact.kernels.pressure import out_of_reach, steepness
 from tissue_contact.kernels.sampling import sample
 
 seeds = st.integers(0, 2**32 - 1)
@@ -383,11 +383,11 @@ def test_a_sheet_has_no_inside():
 @kernel
 def passed_over(model, r, corners):
     """Which triangles [n, 3, 3] a response passes over."""
-    out = np.zeros(corners.shape[0])
+    out, parts = np.zeros(corners.shape[0]), model.part_field.size
+    steep = steepness(model, 0, parts)
     for k in range(corners.shape[0]):
         a, b, c = corners[k]
-        parts = model.part_field.size
-        culled = out_of_reach(model, 0, parts, r, (a[0], a[1], a[2]), (b[0], b[1], b[2]), (c[0], c[1], c[2]))
+        culled = out_of_reach(model, 0, parts, steep, r, (a[0], a[1], a[2]), (b[0], b[1], b[2]), (c[0], c[1], c[2]))
         out[k] = 1.0 if culled else 0.0
     return out
 

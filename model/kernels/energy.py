@@ -22,31 +22,13 @@ def tissue_energies(model, parameters, state):
     for n in range(model.tissue_rate.size):
         own = TISSUE_PARAMETERS * n
         density, support = parameters[own + AREAL_DENSITY], parameters[own + SUPPORT_STIFFNESS]
-        elastic += spring_energy(
-            model.tissue_spring_start[n],
-            model.tissue_spring_start[n + 1],
-            model.spring_i,
-            model.spring_j,
-            model.spring_rest,
-            model.spring_stiffness,
-            parameters[own + STIFFNESS_SCALE],
-            state.x,
-            state.y,
-            state.z,
-        )
-        if parameters[own + NONLINEARITY] > 0.0:
+        first, last = model.tissue_spring_start[n], model.tissue_spring_start[n + 1]
+        i, j, rest, stiffness = model.spring_i, model.spring_j, model.spring_rest, model.spring_stiffness
+        scale, nonlinearity = parameters[own + STIFFNESS_SCALE], parameters[own + NONLINEARITY]
+        elastic += spring_energy(first, last, i, j, rest, stiffness, scale, state.x, state.y, state.z)
+        if nonlinearity > 0.0:
             elastic += stiffening_energy(
-                model.tissue_spring_start[n],
-                model.tissue_spring_start[n + 1],
-                model.spring_i,
-                model.spring_j,
-                model.spring_rest,
-                model.spring_stiffness,
-                parameters[own + STIFFNESS_SCALE],
-                parameters[own + NONLINEARITY],
-                state.x,
-                state.y,
-                state.z,
+                first, last, i, j, rest, stiffness, scale, nonlinearity, state.x, state.y, state.z
             )
         if parameters[own + AREA_STIFFNESS] > 0.0:
             elastic += area_energy(

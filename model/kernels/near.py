@@ -7,7 +7,7 @@ found here and at nothing else.
 import math
 
 from tissue_contact.kernels.collision import facing
-from tissue_contact.kernels.compiled import inner
+from tissue_contact.kernels.compiled import inner, pointwise
 from tissue_contact.kernels.field import FAR, GRID, fields_of, part_distance
 from tissue_contact.kernels.occupancy import locate
 from tissue_contact.kernels.side import FACING, REJECTED, latch
@@ -16,6 +16,16 @@ from tissue_contact.kernels.vectors import cross, dot, to_body, to_world
 # Share of the thinnest half extent that bodies may move between two continuous detections; what may be touched until
 # then is looked for within twice that share, as the last substep before a detection may go as far again.
 MOTION = 0.25
+
+
+@pointwise
+def middle_of(a, b, c):
+    """Middle of a triangle, its corners from there, and the distance of the farthest [m]."""
+    middle = ((a[0] + b[0] + c[0]) / 3.0, (a[1] + b[1] + c[1]) / 3.0, (a[2] + b[2] + c[2]) / 3.0)
+    u = (a[0] - middle[0], a[1] - middle[1], a[2] - middle[2])
+    v = (b[0] - middle[0], b[1] - middle[1], b[2] - middle[2])
+    w = (c[0] - middle[0], c[1] - middle[1], c[2] - middle[2])
+    return middle, u, v, w, math.sqrt(max(dot(u, u), dot(v, v), dot(w, w)))
 
 
 @inner
@@ -97,11 +107,7 @@ def find_near_triangles(model, state, scratch, contact, r, p):
         if outcode[a] & outcode[b] & outcode[c] != 0:
             state.side[side] = 0
             continue
-        middle = ((x[a] + x[b] + x[c]) / 3.0, (y[a] + y[b] + y[c]) / 3.0, (z[a] + z[b] + z[c]) / 3.0)
-        u = (x[a] - middle[0], y[a] - middle[1], z[a] - middle[2])
-        v = (x[b] - middle[0], y[b] - middle[1], z[b] - middle[2])
-        w = (x[c] - middle[0], y[c] - middle[1], z[c] - middle[2])
-        radius = math.sqrt(max(dot(u, u), dot(v, v), dot(w, w)))
+        middle, u, v, w, radius = middle_of((x[a], y[a], z[a]), (x[b], y[b], z[b]), (x[c], y[c], z[c]))
         distance = gap_to(model, first_part, last_part, middle)
         if not distance < radius + margin:
             state.side[side] = 0

@@ -4,8 +4,6 @@ After Hirota (thesis 2.1.2), but the field belongs to the body, which is rigid, 
 the field's distance and the push follows its gradient exactly, so the force is minus the gradient of an energy.
 """
 
-import math
-
 from tissue_contact.kernels.compiled import inner, pointwise
 from tissue_contact.kernels.contact import (
     contact_law,
@@ -18,7 +16,7 @@ from tissue_contact.kernels.contact import (
     scatter,
 )
 from tissue_contact.kernels.field import GRID, body_distance, fields_of
-from tissue_contact.kernels.near import gap_to
+from tissue_contact.kernels.near import gap_to, middle_of
 from tissue_contact.kernels.side import REJECTED
 from tissue_contact.kernels.slots import GATHER, GATHER_REGIONS
 from tissue_contact.kernels.vectors import dot, to_body, to_world
@@ -27,18 +25,20 @@ FEW = 3  # points of a triangle that are sooner read than the triangle is tried
 STEEP = 2.0  # how much faster than distance a sampled field may grow, near the edges of what it was sampled from
 
 
-@pointwise
-def out_of_reach(model, first_part, last_part, r, a, b, c):
-    """Whether no point of a triangle lies within a body; corners [m] from the body frame's origin, world axes."""
-    middle = ((a[0] + b[0] + c[0]) / 3.0, (a[1] + b[1] + c[1]) / 3.0, (a[2] + b[2] + c[2]) / 3.0)
-    u = (a[0] - middle[0], a[1] - middle[1], a[2] - middle[2])
-    v = (b[0] - middle[0], b[1] - middle[1], b[2] - middle[2])
-    w = (c[0] - middle[0], c[1] - middle[1], c[2] - middle[2])
+@inner
+def steepness(model, first_part, last_part):
+    """How much faster than distance the field of a body may grow."""
     steep = 1.0
     for part in range(first_part, last_part):
         if model.part_field[part] == GRID:
             steep = STEEP
-    radius = math.sqrt(max(dot(u, u), dot(v, v), dot(w, w)))
+    return steep
+
+
+@pointwise
+def out_of_reach(model, first_part, last_part, steep, r, a, b, c):
+    """Whether no point of a triangle lies within a body; corners [m] from the body frame's origin, world axes."""
+    middle, _, _, _, radius = middle_of(a, b, c)
     return gap_to(model, first_part, last_part, to_body(r, middle)) > steep * radius
 
 
@@ -51,6 +51,7 @@ def press_tissue(model, parameters, state, scratch, contact, r, p, velocity, spi
     origin = model.tissue_triangle_start[tissue]
     begin = model.contact_near_start[contact]
     fields, law, noted = fields_of(model), contact_law(model, parameters, contact), scratch.active_a.size > 0
+    steep = steepness(model, first_part, last_part)
     row, out = GATHER * body, scratch.contact
     fx, fy, fz = scratch.fx, scratch.fy, scratch.fz
     x, y, z, vx, vy, vz = state.x, state.y, state.z, state.vx, state.vy, state.vz
@@ -65,7 +66,7 @@ def press_tissue(model, parameters, state, scratch, contact, r, p, velocity, spi
         cx, cy, cz = x[c] - p[0], y[c] - p[1], z[c] - p[2]
         first, last = model.triangle_point_start[t], model.triangle_point_start[t + 1]
         if last - first > FEW and out_of_reach(
-            model, first_part, last_part, r, (ax, ay, az), (bx, by, bz), (cx, cy, cz)
+            model, first_part, last_part, steep, r, (ax, ay, az), (bx, by, bz), (cx, cy, cz)
         ):
             continue
         for q in range(first, last):
