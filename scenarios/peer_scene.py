@@ -15,7 +15,6 @@ from tissue_contact.simulate import Instance, run
 
 PRESSED = 300  # ms, the end of the press, when the probe is deepest
 HULL = '[[contact]]\nresponse = "hull"\nstiffness = 100.0'  # a response that goes by intersecting triangles
-PROJECTIVE = 'integrator = "projective_dynamics"\niterations = {}'
 
 
 class Mesh(NamedTuple):
@@ -38,13 +37,12 @@ class PeerScene(NamedTuple):
 
 def assembly_of(sheet: Path, solver: str = "", contact: str = bench.CONTACT) -> Assembly:
     """The bench's scene on a sheet."""
-    text = bench.SCENE.format(solver=solver, tissue=bench.MESH.format(name=sheet.name), contact=contact)
-    return assemble(parse_scene(text.encode(), sheet.parent))
+    return assemble(parse_scene(bench.on_sheet(sheet, solver, contact).encode(), sheet.parent))
 
 
 def record(sheet: Path, every: int) -> PeerScene:
     """Run the bench's motion and keep where the tissue is, at every so many of the steps in contact."""
-    assembly = assembly_of(sheet, PROJECTIVE.format(2))
+    assembly = assembly_of(sheet, bench.PROJECTIVE.format(2))
     instance = Instance(assembly)
     state = instance.state
     moments, positions, lowest = [], [], []

@@ -26,7 +26,8 @@ from tissue_contact.fmu.build import build
 from tissue_contact.fmu.native import drive, host_platform
 from tissue_contact.kernels.layout import Real
 from tissue_contact.scenarios import bench, peer_detection, peer_step
-from tissue_contact.scenarios.peer_scene import PRESSED, PROJECTIVE, PeerScene, assembly_of, moved_alike, record
+from tissue_contact.scenarios.peer_scene import PRESSED, PeerScene, assembly_of, moved_alike, record
+from tissue_contact.settings import check_word
 
 STEPPED = "6K"  # the sheet that is run, and on which steps are compared
 EVERY = 4  # of its milliseconds in contact, how many are one moment to find pairs at
@@ -52,8 +53,8 @@ TOLD = {
 }
 FMUS = {
     "symplectic_euler": "",
-    "projective_dynamics 1": PROJECTIVE.format(1),
-    "projective_dynamics 2": PROJECTIVE.format(2),
+    "projective_dynamics 1": bench.PROJECTIVE.format(1),
+    "projective_dynamics 2": bench.PROJECTIVE.format(2),
 }
 
 SLOW = "mujoco", "pybullet"  # one round is enough of these
@@ -197,9 +198,7 @@ def measure(say: Say, levels: list[str]) -> dict[str, Any]:
     results: dict[str, Any] = {"processor": _processor(), "rounds": ROUNDS, "detection": {}, "step": {}}
     with tempfile.TemporaryDirectory() as folder:
         say("recording the motion")
-        sheets = {level: Path(folder) / f"{level}.obj" for level in {STEPPED, *levels}}
-        for level, sheet in sheets.items():
-            sheet.write_text(bench.sheet(bench.LEVELS[level]))
+        sheets = {level: bench.write_sheet(level, Path(folder)) for level in {STEPPED, *levels}}
         recorded = record(sheets[STEPPED], EVERY)
         results["step"] = stepping(recorded, left_out, say)
         for level in levels:
@@ -268,6 +267,8 @@ def left_out_lines(results: Mapping[str, Any]) -> list[str]:
 
 def main(output: Path = Path("build/peers.json"), levels: str = ",".join(THINNED)) -> None:
     """Measure, print and keep the figures."""
+    for level in levels.split(","):
+        check_word("--levels", level, THINNED)
     if hasattr(os, "sched_setaffinity"):  # libraries that use all the cores would not be compared with one
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     console = Console()

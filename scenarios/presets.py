@@ -15,17 +15,17 @@ import fmpy
 import typer
 from rich.console import Console
 
-from tissue_contact import cache
 from tissue_contact.assemble import assemble
 from tissue_contact.files import publish
 from tissue_contact.fmu.compile import shared_library
 from tissue_contact.pool import Kept, Spread, pool
 from tissue_contact.presets import BEYOND_SPRINGS, PRESETS, Preset
 from tissue_contact.scenarios import bench
-from tissue_contact.scenarios.run import communication_points, scene_key
+from tissue_contact.scenarios.run import communication_points
 from tissue_contact.scenarios.scenario import read_scenario, shipped_names
-from tissue_contact.scenarios.trade import Job, follow, job_of, point_of, rows_of, timed
+from tissue_contact.scenarios.trade import Job, follow, job_of, kept_of, point_of, rows_of, timed
 from tissue_contact.scene import Scene, parse_scene
+from tissue_contact.settings import check_word
 from tissue_contact.study import levers
 from tissue_contact.study.deviation import errors
 from tissue_contact.study.front import Point, percent, solver_settings
@@ -80,9 +80,8 @@ def cases(folder: Path, say: Say) -> list[Case]:
             continue
         job = replace(job_of(scenario, scenario.scene.source), expect=scenario.expect)
         found.append(Case(name, scenario.scene, job))
-    publish(folder / "sheet.obj", bench.sheet(bench.LEVELS[bench.COMPARED]).encode())
-    text = bench.SCENE.format(solver="", tissue=bench.MESH.format(name="sheet.obj"), contact=bench.CONTACT)
-    scene = parse_scene(text.encode(), folder.resolve(), SHEET)
+    mesh = bench.write_sheet(bench.COMPARED, folder)
+    scene = parse_scene(bench.on_sheet(mesh).encode(), folder.resolve(), SHEET)
     poses = bench.poses()
     times, steps = communication_points(bench.STEP * (len(poses) - 1), bench.STEP)
     names = [f"instrument.position[{k}]" for k in (1, 2, 3)] + [f"instrument.orientation[{k}]" for k in (1, 2, 3, 4)]
@@ -107,8 +106,7 @@ def references(case: Case) -> list[Job]:
 
 def measured(case: Case, folder: Path, spread: Spread, say: Say) -> tuple[Kept, dict[str, Any]]:
     """Run one case in all candidates; what is kept of it, and its figures but for the times."""
-    motion = [f"{name}{values.tolist()}" for name, values in sorted(case.job.inputs.items())]
-    kept = Kept(folder / f"{case.name}.json", cache.digest([], scene_key(case.scene), *motion, f"{case.job.expect}"))
+    kept = kept_of(case.scene, case.job, folder / f"{case.name}.json")
     truth = references(case)
     jobs = [*reversed(truth), *(case.edited(c.keys) for c in case.candidates)]  # the longest first
     say(f"{case.name}: {len(jobs)} runs")
@@ -171,7 +169,10 @@ def chosen(scenarios: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, An
 
 def measure(folder: Path, wanted: Sequence[str], workers: int, say: Say) -> dict[str, Any]:
     """All figures; what `folder` keeps is not done again."""
-    asked = [case for case in cases(folder, say) if not wanted or case.name in wanted]
+    every = {case.name: case for case in cases(folder, say)}
+    for name in wanted:
+        check_word("--scenarios", name, every)
+    asked = [every[name] for name in wanted or every]
     shared_library(fmpy.platform)  # workers side by side would compile side by side
     with pool(workers, None) as spread:
         found = {case.name: measured(case, folder, spread, say) for case in asked}

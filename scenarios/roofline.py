@@ -34,7 +34,7 @@ from tissue_contact.simulate import Instance, run
 
 SOLVERS = {
     "symplectic_euler": "",
-    "projective_dynamics": 'integrator = "projective_dynamics"\niterations = 2',
+    "projective_dynamics": bench.PROJECTIVE.format(2),
 }
 PRESSED = 450  # steps of the motion of bench until the capsule is deep and slides
 COUNTED = 20  # steps whose instructions are counted
@@ -206,9 +206,8 @@ def instructions(fmu: Path, folder: Path) -> float | None:
 
 def solver_result(solver: str, machine: Machine, folder: Path) -> dict[str, Any]:
     """All figures of one integrator."""
-    (folder / "sheet.obj").write_text(bench.sheet(bench.LEVELS[bench.COMPARED]))
-    text = bench.SCENE.format(solver=solver, tissue=bench.MESH.format(name="sheet.obj"), contact=bench.CONTACT)
-    assembly, fmu = bench.built(text, folder)
+    mesh = bench.write_sheet(bench.COMPARED, folder)
+    assembly, fmu = bench.built(bench.on_sheet(mesh, solver), folder)
     outputs, ns = drive(fmu, bench.poses()[1:], bench.STEP)
     around = slice(PRESSED - COUNTED, PRESSED + COUNTED)
     names = [v.name for v in assembly.variables if v.block == "outputs"]

@@ -66,15 +66,12 @@ def figures(ran: Soak, places: int) -> dict[str, Any]:
 
 def measure(integrator: str, iterations: int, level: str, repeats: int, core: int) -> dict[str, Any]:
     """The figures of `make soak`."""
-    solver = f'integrator = "{integrator}"\n'
-    if integrator == "projective_dynamics":
-        solver += f"iterations = {iterations}"
+    projective = integrator == "projective_dynamics"
+    solver = bench.PROJECTIVE.format(iterations) if projective else f'integrator = "{integrator}"'
     path = there_and_back()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        (folder / "sheet.obj").write_text(bench.sheet(bench.LEVELS[level]))
-        tissue = bench.MESH.format(name="sheet.obj")
-        _, fmu = bench.built(bench.SCENE.format(solver=solver, tissue=tissue, contact=bench.CONTACT), folder)
+        _, fmu = bench.built(bench.on_sheet(bench.write_sheet(level, folder), solver), folder)
         before = stolen(core)
         ran = soak(fmu, path, bench.STEP, repeats, core)
         lost = stolen(core) - before

@@ -19,7 +19,7 @@ from tissue_contact.files import publish
 from tissue_contact.fmu import native
 from tissue_contact.fmu.build import build
 from tissue_contact.fmu.compile import shared_library
-from tissue_contact.pool import Kept, Spread, in_line, pool
+from tissue_contact.pool import Kept, Spread, in_line, pool, problem_of
 from tissue_contact.scenarios.outcome import FloatArray, judge
 from tissue_contact.scenarios.run import (
     bar_of,
@@ -233,6 +233,12 @@ def step_time(fmu: Path, job: Job) -> float | str:
 # --- the sweep --------------------------------------------------------------------------------------------
 
 
+def kept_of(scene: Scene, motion: Job, path: Path) -> Kept:
+    """What a file keeps of runs of a scene, in any configuration, with one motion and what is expected of it."""
+    inputs = [part for item in sorted(motion.inputs.items()) for part in item]
+    return Kept(path, problem_of(scene_key(scene), motion.times, motion.expect, *inputs))
+
+
 def measured(scenario: Scenario, folder: Path, request: Request) -> Measured:
     """Run and time a scenario in many configurations; `folder` keeps what is finished. Errors as `trade`."""
     console = Console(stderr=True)
@@ -240,11 +246,7 @@ def measured(scenario: Scenario, folder: Path, request: Request) -> Measured:
         console.print(remark, highlight=False, markup=False)
     assembly = assemble(scenario.scene)  # a wrong scene is told before anything is compiled
     known = levers.grounds(scenario.scene, assembly.model.contact_reach)
-    motion = job_of(scenario, b"").inputs
-    problem = cache.digest(
-        [], scene_key(scenario.scene), f"{scenario.duration}", *(f"{n}{v.tolist()}" for n, v in sorted(motion.items()))
-    )
-    kept = Kept(folder / KEPT, problem)
+    kept = kept_of(scenario.scene, job_of(scenario, b""), folder / KEPT)
     if kept.done:
         console.print(f"going on with what {kept.path} keeps", highlight=False, markup=False)
     try:

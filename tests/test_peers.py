@@ -1,6 +1,6 @@
 """The comparison with peers, as far as it needs none of them: the plain step, the pairs, the page and its tables."""
 
-import importlib.util
+import importlib
 import json
 import math
 import os
@@ -143,10 +143,7 @@ def test_one_that_fails_leaves_the_others_alone():
 
 def page_module():
     """docs/peers.py."""
-    spec = importlib.util.spec_from_file_location("docs_peers", ROOT / "docs" / "peers.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("peers")
 
 
 def test_the_page_says_what_was_measured():

@@ -1,6 +1,6 @@
 """Presets: what they fill in of a scene and what they leave, and that the page tells what was measured of them."""
 
-import importlib.util
+import importlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -172,10 +172,7 @@ def test_a_measurement_is_kept_and_tells_what_fails(tmp_path):
 
 def page_module():
     """docs/presets.py."""
-    spec = importlib.util.spec_from_file_location("docs_presets", ROOT / "docs" / "presets.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("presets")
 
 
 def measured_data():
