@@ -5,9 +5,10 @@ tests/test_docs.py fails when a page in docs/reference is not what this gives.
 
 import json
 import math
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
+
+from pages import table
 
 from tissue_contact import scene
 from tissue_contact.identify import columns, reading, treatment
@@ -96,13 +97,6 @@ STIMULI = (
     stimulus.Waypoints,
     stimulus.Recording,
 )
-
-
-def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table."""
-    lines = [headings, ["---"] * len(headings), *rows]
-    escaped = ([cell.replace("|", r"\|") for cell in line] for line in lines)
-    return "".join(f"| {' | '.join(cells)} |\n" for cells in escaped)
 
 
 # --- settings ---------------------------------------------------------------------------------------------

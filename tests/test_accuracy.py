@@ -1,6 +1,6 @@
 """Accuracy: the error measure, the motions, refinement of one organ, and that the page tells what was measured."""
 
-import importlib.util
+import importlib
 import json
 from pathlib import Path
 
@@ -19,10 +19,7 @@ MESHES = ROOT.parent / "shared" / "meshes"
 
 def page_module():
     """docs/accuracy.py."""
-    spec = importlib.util.spec_from_file_location("docs_accuracy", ROOT / "docs" / "accuracy.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("accuracy")
 
 
 # --- refinement -------------------------------------------------------------------------------------------

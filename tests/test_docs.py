@@ -1,6 +1,6 @@
 """The committed pages: the reference is what the code gives, and every link and picture is there."""
 
-import importlib.util
+import importlib
 import json
 import re
 from pathlib import Path
@@ -17,10 +17,7 @@ CODE = re.compile(r"```.*?```|`[^`\n]*`", re.DOTALL)
 
 def generated() -> dict[str, str]:
     """File name -> content, from docs/generate.py."""
-    spec = importlib.util.spec_from_file_location("docs_generate", ROOT / "docs" / "generate.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.pages()
+    return importlib.import_module("generate").pages()
 
 
 def anchors(page: Path) -> set[str]:
