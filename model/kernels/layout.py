@@ -7,6 +7,7 @@ field lies. The FMU holds the same blocks and rebuilds the same bundles from the
 twice.
 """
 
+from functools import cache
 from typing import NamedTuple, TypeVar, get_type_hints
 
 import numpy as np
@@ -304,6 +305,7 @@ class Scratch(NamedTuple):
 Bundle = TypeVar("Bundle", Model, State, Scratch)
 
 
+@cache  # numba asks for every field that a kernel reads, and evaluating the hints takes milliseconds
 def blocks(bundle: type[Bundle]) -> dict[str, type]:
     """Field names of a bundle with the scalar type of the block that each lies in."""
     hints = get_type_hints(bundle)
