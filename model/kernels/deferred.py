@@ -1,0 +1,45 @@
+"""Kernels that only kernels call are optimised and made machine code of within their callers, not alone as well.
+
+Numba links into a function all that it calls, optimises that and makes machine code of it: what lies at the bottom of a
+step was compiled again for every kernel between it and the step, and never run but as a part of the step.
+"""
+
+from typing import Any
+
+import llvmlite.binding as llvm
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+
+
+class _Deferred(JITCodeLibrary):
+    """Code that waits for its callers. What numba runs and caches of it now is empty but for its environment."""
+
+    def finalize(self) -> None:
+        self._raise_if_finalized()
+        code, codegen = self._final_module, self._codegen
+        # numba writes the address of an environment into its global, used or not
+        environments = [g.name for g in code.global_variables if g.name.startswith("_ZN08NumbaEnv")]
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            code.link_in(library._get_module_for_linking(), preserve=True)
+        passes = llvm.create_new_module_pass_manager()
+        passes.add_global_dead_code_eliminate_pass()
+        passes.run(code, llvm.create_pass_builder(codegen._tm, llvm.create_pipeline_tuning_options()))
+        self._finalize_dynamic_globals()  # what holds an address of this process is not cached
+        for function in code.functions:
+            if not function.is_declaration and function.linkage == llvm.Linkage.external:
+                function.linkage = "linkonce_odr"  # every caller has a copy
+        self._shared_module = code
+        lines = [f"@{name} = common global ptr null" for name in environments]
+        self._final_module = llvm.parse_assembly("\n".join([str(codegen._create_empty_module(self.name)), *lines]))
+        self._finalize_final_module()
+
+
+class Deferring(Compiler):
+    """The compiler of such kernels."""
+
+    def define_pipelines(self) -> Any:
+        state = self.state
+        state.library = _Deferred(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return super().define_pipelines()
