@@ -4,11 +4,14 @@ Numba links into a function all that it calls, optimises that and makes machine 
 step was compiled again for every kernel between it and the step, and never run but as a part of the step.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import llvmlite.binding as llvm
+from numba.core import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.registry import CPUDispatcher
 
 
 class _Deferred(JITCodeLibrary):
@@ -35,7 +38,7 @@ class _Deferred(JITCodeLibrary):
         self._finalize_final_module()
 
 
-class Deferring(Compiler):
+class _Deferring(Compiler):
     """The compiler of such kernels."""
 
     def define_pipelines(self) -> Any:
@@ -43,3 +46,21 @@ class Deferring(Compiler):
         state.library = _Deferred(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
         return super().define_pipelines()
+
+
+class _Inner(CPUDispatcher):
+    """A constant as an argument is a number like any other: numba would make a version of all below for its value."""
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        return super().get_call_template([types.unliteral(kind) for kind in args], kws)
+
+
+def inner_kernel(**options: Any) -> Callable[[Callable[..., Any]], _Inner]:
+    """What `numba.njit` is to other kernels, cached."""
+
+    def made(function: Callable[..., Any]) -> _Inner:
+        dispatcher = _Inner(function, targetoptions={"nopython": True, **options}, pipeline_class=_Deferring)
+        dispatcher.enable_caching()
+        return dispatcher
+
+    return made

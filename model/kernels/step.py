@@ -168,7 +168,7 @@ def _tune(model, parameters, state, scratch, outputs):
         changed = changed or state.tuned[k] != parameters[k]
         state.tuned[k] = parameters[k]
     if changed:
-        stored = give(model, parameters, state, scratch, 0.0, 0.0, outputs)
+        stored = give(model, parameters, state, scratch, 0.0, 0, outputs)
         state.energy_start[0] += stored - state.stored[0]
         state.put_in[0] += max(0.0, stored - state.stored[0])
         state.stored[0] = stored
@@ -356,7 +356,7 @@ def initialize(model, parameters, state, inputs, outputs, scratch):
     for k in range(state.tuned.size):
         state.tuned[k] = parameters[k]
     # What is stored before anything moved is where the balance starts from.
-    state.stored[0] = give(model, parameters, state, scratch, 0.0, 0.0, outputs)
+    state.stored[0] = give(model, parameters, state, scratch, 0.0, 0, outputs)
     state.energy_start[0] = state.stored[0]
     state.put_in[0] = state.stored[0]
     state.gained[0] = 0.0
@@ -396,7 +396,7 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
         scratch.detail[0], scratch.detail[1] = h, STEP_MAX
         return STEP_SIZE
     if h == 0.0:
-        give(model, parameters, state, scratch, 0.0, 0.0, outputs)
+        give(model, parameters, state, scratch, 0.0, 0, outputs)
         return OK
     balance = BODY_OUTPUTS * (state.pose.size // POSE) + ENERGY_BALANCE
     _tune(model, parameters, state, scratch, outputs)
