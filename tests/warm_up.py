@@ -1,7 +1,8 @@
-"""Compile what the tests share, for Python and for the FMU side by side, and leave it in the cache."""
+"""Compile what the tests share, for Python, for derivatives and for the FMU side by side, and leave it in the cache."""
 
 import sys
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 from tissue_contact.assemble import assemble
@@ -24,15 +25,22 @@ stiffness_per_area = 1e6
 """
 
 
+def _native() -> None:
+    shared_library(host_platform(), progress=lambda text: print(text, file=sys.stderr))
+
+
+def _step(derivatives: bool) -> None:
+    assembly = assemble(parse_scene(SCENE, Path()))
+    instance = DualInstance(assembly, assembly.parameters, 0) if derivatives else Instance(assembly)
+    instance.initialize()
+    instance.step(1e-3)
+
+
 def main() -> None:
-    """Numba compiles for the FMU in a process of its own, so that a thread is enough to wait for it."""
-    with ThreadPoolExecutor(1) as pool:
-        native = pool.submit(shared_library, host_platform(), progress=lambda text: print(text, file=sys.stderr))
-        assembly = assemble(parse_scene(SCENE, Path()))
-        for instance in (Instance(assembly), DualInstance(assembly, assembly.parameters, 0)):
-            instance.initialize()
-            instance.step(1e-3)
-        native.result()
+    """The kernels of derivatives are others than those of plain numbers: no process waits for what another compiles."""
+    with ProcessPoolExecutor(3, mp_context=get_context("spawn")) as pool:
+        for job in [pool.submit(_step, True), pool.submit(_native), pool.submit(_step, False)]:
+            job.result()
 
 
 if __name__ == "__main__":
