@@ -45,10 +45,10 @@ bench: $(STAMP) ## measure a step inside the FMU, into build/bench.json
 	@mkdir -p build
 	$(BIN)/python -m tissue_contact.scenarios.bench --output build/bench.json
 
-soak: $(STAMP) ## step without a pause through ten minutes of simulated time, into build/soak.json; INTEGRATOR= picks another
+soak: $(STAMP) ## step without a pause through ten minutes of simulated time, into build/soak.json; PRESET= picks another
 	@mkdir -p build
 	$(BIN)/python -m tissue_contact.scenarios.soak --output build/soak.json \
-		--integrator $(or $(INTEGRATOR),projective_dynamics)
+		--preset $(or $(PRESET),balanced)
 
 # OUTPUT=docs/data/roofline.json makes the page of the docs anew.
 roofline: warm-up ## measure how close a step is to what this machine can do, into build/roofline.json

@@ -62,7 +62,7 @@ def figure(data: Found) -> bytes:
     """Detection by the size of the mesh, and the step, as PNG."""
     levels = data["detection"]
     panels = [(found, peers.OURS, f"detection, {level} triangles") for level, found in levels.items()]
-    panels.append((data["step"], "symplectic_euler", f"step of 1 ms, {peers.STEPPED} triangles"))
+    panels.append((data["step"], "accurate", f"step of 1 ms, {peers.STEPPED} triangles"))
     heights = [len(found) + 1.5 for found, _, _ in panels]
     drawn = Figure(figsize=(8.5, 0.3 * sum(heights)), layout="constrained")
     FigureCanvasAgg(drawn)

@@ -23,7 +23,7 @@ DOCS = Path(__file__).parent
 PAGE, DATA, FIGURE = DOCS / "presets.md", DOCS / "data" / "presets.json", DOCS / "images" / "presets.png"
 MEASURED = DOCS.parent / "build" / "presets.json"
 SHOWN = ("force", "peak", "impulse", "depth")
-MARKS = dict(zip((c.words for c in CANDIDATES), "v^<>s", strict=True))
+MARKS = dict(zip((c.words for c in CANDIDATES), "v^<>Ds", strict=True))
 
 Found = Mapping[str, Any]
 

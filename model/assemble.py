@@ -36,7 +36,7 @@ INTEGRATORS = {
     "runge_kutta_4": RUNGE_KUTTA_4, "projective_dynamics": PROJECTIVE_DYNAMICS,
 }  # fmt: skip
 
-PRESSED_ROWS = 96  # vertices that contacts may press at once in projective dynamics: 0.6 MB of matrices
+KEPT_ROWS = 96  # pressed vertices whose compliances projective dynamics keeps, for a dense solve: 0.7 MB of matrices
 POINTS_OF_PAIR = 64  # pressed points of all contacts for every pair of solver.max_pairs: 8 MB at its default
 
 
@@ -245,6 +245,7 @@ def _model(scene: Scene, sheets: list[Sheet], bodies: list[Body]) -> Model:
         safety=np.array([scene.solver.safety]),
         detection_period=np.array([scene.solver.detection_period]),
         energy_gain=np.array([scene.solver.energy_gain]),
+        tolerance=np.array([scene.solver.tolerance]),
     )
 
 
@@ -362,15 +363,15 @@ def _scratch(scene: Scene, model: Model, parameters: int) -> Scratch:
     bodies, vertices, springs = len(model.body_radius), len(model.rest_x), len(model.spring_i)
     capacity = max((end - begin for begin, end in pairwise(model.contact_touch_start)), default=0)
     cells = max((end - begin - 1 for begin, end in pairwise(model.grid_cell_start)), default=0)
-    projective, symplectic = (scene.solver.integrator == name for name in ("projective_dynamics", "symplectic_euler"))
-    implicit = projective or scene.solver.integrator == "implicit_euler"
-    staged = implicit or scene.solver.integrator == "runge_kutta_4"
-    solved = implicit or any(tissue.damping > 0.0 for tissue in scene.tissue)
+    scheme = scene.solver.integrator
+    symplectic, implicit = scheme == "symplectic_euler", scheme == "implicit_euler"
+    projective, stages = scheme == "projective_dynamics", scheme == "runge_kutta_4"
+    solved = implicit or projective or any(tissue.damping > 0.0 for tissue in scene.tissue)
     # every touch, every point of every tissue for each of its contacts, every anchor, as far as that is not absurd
     points = len(model.point_area) * len(scene.contact) + len(scene.contact) * capacity + int(model.grasp_start[-1])
-    points = min(points, POINTS_OF_PAIR * scene.solver.max_pairs) if implicit or symplectic else 0
+    points = min(points, POINTS_OF_PAIR * scene.solver.max_pairs) if implicit or projective or symplectic else 0
     rows, entries = len(model.factor_vertex), len(model.factor_row)
-    pressed = min(rows, PRESSED_ROWS)
+    kept = min(rows, KEPT_ROWS)
     sizes = {
         "cells": 3,
         "cell_stamp": cells,
@@ -386,23 +387,24 @@ def _scratch(scene: Scene, model: Model, parameters: int) -> Scratch:
         "pulse": 3 * bodies,
         "solve": 12 * vertices if solved else 0,
         **dict.fromkeys(("stamp", "hit"), len(model.body_a)),
-        **dict.fromkeys(("start", "slope"), 6 * vertices if staged else 0),
+        "start": 6 * vertices if implicit or projective or stages else 0,
+        "slope": 6 * vertices if implicit or stages else 0,
         **dict.fromkeys(("unit_x", "unit_y", "unit_z"), springs if solved else 0),
         **dict.fromkeys(("along", "across"), springs if implicit else 0),
         **dict.fromkeys(("inverse_mass", "loss_now"), vertices if implicit else 0),
         "volume_gradient": 3 * vertices if implicit else 0,
         "factor_key": 1 + parameters if projective else 0,
         **dict.fromkeys(("factor_down", "factor_across"), entries),
-        **dict.fromkeys(("path", "path_row", "touched_mark", "row_slot", "factor_inverse"), rows),
+        **dict.fromkeys(("path", "path_row", "touched", "touched_mark", "row_slot", "factor_inverse"), rows),
         **dict.fromkeys(("right", "unit_right"), 4 * rows),
         "row_press": 5 * rows,
         "touched_count": 1,
         "lane_slot": 4,
-        **dict.fromkeys(("touched", "slot_row", "slot_new"), pressed),
-        **dict.fromkeys(("push_row", "push_stiffness", "push_size"), 3 * pressed),
-        "push": 9 * pressed,
-        "compliance": pressed**2,
-        "push_matrix": (3 * pressed) ** 2,
+        **dict.fromkeys(("slot_row", "slot_new"), kept),
+        **dict.fromkeys(("push_row", "push_stiffness", "push_size"), 3 * rows),
+        "push": 9 * rows,
+        "compliance": kept**2,
+        "push_matrix": (3 * kept) ** 2,
     }
     groups = {
         "touch_": capacity, "pair_": capacity, "part_": len(model.part_reach), "active_": points,

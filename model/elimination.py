@@ -21,9 +21,9 @@ class Elimination(NamedTuple):
     vertex: IntArray  # shape [F], vertex of each row
     place: IntArray  # shape [V], row of each vertex
     start: IntArray  # shape [F + 1], where the entries of a column begin
-    row: IntArray  # shape [N], ascending within a column
+    row: IntArray  # shape [N], four times the row, ascending within a column
     across_start: IntArray  # shape [F + 1], where the entries of a row begin
-    across_column: IntArray  # shape [N], ascending within a row
+    across_column: IntArray  # shape [N], four times the column, ascending within a row
     across_entry: IntArray  # shape [N], the entry's number by columns
     spring: IntArray  # shape [S], entry of each spring
 
@@ -58,9 +58,9 @@ def elimination(springs: IntArray, free: FloatArray) -> Elimination:
         vertices[order],
         place,
         lower.indptr,
-        lower.indices,
+        4 * lower.indices,
         np.concatenate([[0], np.cumsum(np.bincount(lower.indices, minlength=count))]),
-        column[by_row],
+        4 * column[by_row],
         by_row,
         spring,
     )

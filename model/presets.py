@@ -13,6 +13,7 @@ class Preset(NamedTuple):
 
     integrator: str
     iterations: int | None = None
+    tolerance: float | None = None
 
     @property
     def keys(self) -> dict[str, Any]:
@@ -24,12 +25,13 @@ class Preset(NamedTuple):
         """The preset in words."""
         if self.iterations is None:
             return self.integrator
-        return f"{self.integrator}, {self.iterations} iteration{'s' * (self.iterations > 1)}"
+        until = "" if self.tolerance is None else f", tolerance {100 * self.tolerance:g} %"
+        return f"{self.integrator}, {self.iterations} iteration{'s' * (self.iterations > 1)}{until}"
 
 
 PRESETS: dict[PresetName, Preset] = {
     "fast": Preset("projective_dynamics", 1),
-    "balanced": Preset("projective_dynamics", 2),
+    "balanced": Preset("projective_dynamics", 3, 0.01),
     "accurate": Preset("symplectic_euler"),
 }
 # For every preset where a tissue resists by more than linear springs, of which projective dynamics knows nothing.

@@ -412,7 +412,15 @@ class Solver(Settings):
     integrator: Literal[
         "symplectic_euler", "explicit_euler", "implicit_euler", "runge_kutta_4", "projective_dynamics"
     ] = Field("symplectic_euler", description="scheme in time")
-    iterations: int = quantity("1", 1, 100, "iterations of a step of projective_dynamics", 3)
+    iterations: int = quantity("1", 1, 100, "iterations of a substep of projective_dynamics, at most", 3)
+    tolerance: float = quantity(
+        "1",
+        0,
+        1,
+        "share of the contacts' impulse with a change of which an iteration of projective_dynamics is the last, 0 for "
+        "none",
+        0.0,
+    )
     energy_gain: float = quantity(
         "1",
         0,
@@ -499,10 +507,11 @@ class Scene(Settings):
             fits = "integrator" not in given or solver.integrator == chosen.integrator
             missing = {key: value for key, value in chosen.keys.items() if fits and key not in given}
             self.__dict__["solver"] = solver.model_copy(update=missing)
-        if "iterations" in given and self.solver.integrator != "projective_dynamics":
-            rule = f"iterations has no meaning for integrator {self.solver.integrator}"
-            way_out = "Remove it" if self._remarks else "Remove it, or take projective_dynamics"
-            raise broken(("solver", "iterations"), rule, show(solver.iterations), way_out)
+        for key in ("iterations", "tolerance"):
+            if key in given and self.solver.integrator != "projective_dynamics":
+                rule = f"{key} has no meaning for integrator {self.solver.integrator}"
+                way_out = "Remove it" if self._remarks else "Remove it, or take projective_dynamics"
+                raise broken(("solver", key), rule, show(getattr(solver, key)), way_out)
         return self
 
     @model_validator(mode="after")

@@ -23,13 +23,12 @@ from tissue_contact.fmu.build import build
 from tissue_contact.fmu.native import drive, host_platform
 from tissue_contact.kernels import measured
 from tissue_contact.kernels.layout import Real
+from tissue_contact.presets import PRESETS
 from tissue_contact.scene import parse_scene
 from tissue_contact.variables import Variable
 
 LEVELS = {"1.5K": 27, "6K": 55, "24K": 110, "96K": 219}  # cells along a side of the sheet, two triangles each
 COMPARED = "6K"  # the sheet on which a step has a budget
-ITERATIONS = (1, 2, 3)  # with which projective dynamics is timed
-WIDE = "96K"  # a sheet on which the contact presses more vertices than projective dynamics has room for
 STEP = 1e-3  # s
 REPEATS = {"detection": 4, "response": 4, "tissue": 1}  # of a part, to time it: the more, the less it takes
 
@@ -49,7 +48,7 @@ start_position = [-0.005, 0.0, 0.005]
 {contact}
 """
 MESH = 'mesh = "{name}"\nopen_surface = true'
-PROJECTIVE = 'integrator = "projective_dynamics"\niterations = {}'
+PRESET = 'preset = "{}"'
 IRREGULAR = 'shape = {{ kind = "patch", size = [0.06, 0.06], triangles = {n}, curvature_radius = 0.4, seed = 1 }}'
 CONTACT = """
 [[contact]]
@@ -187,11 +186,11 @@ def measure(levels: Sequence[str], say: Callable[[str], None]) -> dict[str, Any]
         for level in levels:
             say(f"{level} triangles")
             mesh = write_sheet(level, folder)
-            results[level] = level_result(on_sheet(mesh), folder)
-            for iterations in ITERATIONS if level != WIDE else ():
-                say(f"{level} triangles, projective_dynamics, {iterations} iterations")
-                text = on_sheet(mesh, PROJECTIVE.format(iterations))
-                results[f"{level} projective {iterations}"] = level_result(text, folder, parts=False)
+            results[level] = level_result(on_sheet(mesh, PRESET.format("accurate")), folder)
+            for preset in sorted(PRESETS.keys() - {"accurate"}):
+                say(f"{level} triangles, preset {preset}")
+                text = on_sheet(mesh, PRESET.format(preset))
+                results[f"{level} {preset}"] = level_result(text, folder, parts=False)
         tissue = IRREGULAR.format(n=6000)
         for what, contact in (("6K irregular", CONTACT), ("6K irregular, no contact declared", "")):
             say(what)

@@ -71,7 +71,7 @@ def _pressed_rows(m: Model, scratch: Scratch, passes: int) -> Part:
     for row in scratch.touched[:size].astype(int).tolist():
         while row < rows and row not in path:
             path.add(row)
-            row = int(m.factor_row[start[row]]) if start[row] < start[row + 1] else rows
+            row = int(m.factor_row[start[row]]) // 4 if start[row] < start[row + 1] else rows
     entries = sum(int(start[row + 1] - start[row]) for row in path)
     dense = size**3 / 3 + 2 * size**2 + 6 * size**2 / 2
     return Part("pressed rows", passes, dense + 12 * entries, size, 2 * entries * (REAL + INDEX) + size**2 / 2 * REAL)

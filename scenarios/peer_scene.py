@@ -42,7 +42,7 @@ def assembly_of(sheet: Path, solver: str = "", contact: str = bench.CONTACT) -> 
 
 def record(sheet: Path, every: int) -> PeerScene:
     """Run the bench's motion and keep where the tissue is, at every so many of the steps in contact."""
-    assembly = assembly_of(sheet, bench.PROJECTIVE.format(2))
+    assembly = assembly_of(sheet, bench.PRESET.format("balanced"))
     instance = Instance(assembly)
     state = instance.state
     moments, positions, lowest = [], [], []

@@ -25,6 +25,7 @@ from tissue_contact.files import publish
 from tissue_contact.fmu.build import build
 from tissue_contact.fmu.native import drive, host_platform
 from tissue_contact.kernels.layout import Real
+from tissue_contact.presets import PRESETS
 from tissue_contact.scenarios import bench, peer_detection, peer_step
 from tissue_contact.scenarios.peer_scene import PRESSED, PeerScene, assembly_of, moved_alike, record
 from tissue_contact.settings import check_word
@@ -36,27 +37,19 @@ ROUNDS = 3
 LIMIT = 120.0  # s, for one of them in one round
 OURS = "tissue-contact"
 # What a name stands for in the tables, and the package whose version is told
-TOLD = {
+TOLD: dict[str, tuple[str, str]] = {
     OURS: ("tissue-contact, exact pairs", "tissue-contact"),
     "tissue-contact, near the field": ("tissue-contact, triangles near the field", "tissue-contact"),
     "embreex": ("Embree, rays of edges, rebuilt", "embreex"),
     "meshlib": ("MeshLib, refitted", "meshlib"),
     "coal": ("coal, OBBRSS refitted", "coal"),
     "python-fcl": ("FCL, rebuilt", "python-fcl"),
-    "symplectic_euler": ("tissue-contact, FMU, symplectic_euler", "tissue-contact"),
-    "projective_dynamics 1": ("tissue-contact, FMU, projective_dynamics, 1 iteration", "tissue-contact"),
-    "projective_dynamics 2": ("tissue-contact, FMU, projective_dynamics, 2 iterations", "tissue-contact"),
+    **{preset: (f"tissue-contact, FMU, preset {preset}", "tissue-contact") for preset in PRESETS},
     "edge loop": ("plain loop over the springs, 22 substeps", "numba"),
     "pypbd": ("pyPBD, XPBD, 10 iterations, no contact", "pypbd"),
     "mujoco": ("MuJoCo flex, discrete, CG", "mujoco"),
     "pybullet": ("pybullet deformable, 20 substeps", "pybullet"),
 }
-FMUS = {
-    "symplectic_euler": "",
-    "projective_dynamics 1": bench.PROJECTIVE.format(1),
-    "projective_dynamics 2": bench.PROJECTIVE.format(2),
-}
-
 SLOW = "mujoco", "pybullet"  # one round is enough of these
 
 Say = Callable[[str], None]
@@ -157,10 +150,11 @@ def detection(scene: PeerScene, left_out: dict[str, str], say: Say) -> dict[str,
 
 def stepping(scene: PeerScene, left_out: dict[str, str], say: Say) -> dict[str, Any]:
     """Figures of all steps on one sheet."""
-    fmus = {}
-    for name, solver in FMUS.items():
-        say(f"building: {name}")
-        fmus[name] = build(assembly_of(scene.sheet, solver), scene.sheet.with_name(f"{name}.fmu"), [host_platform()])
+    fmus: dict[str, Path] = {}
+    for preset in PRESETS:
+        say(f"building: {preset}")
+        assembly = assembly_of(scene.sheet, bench.PRESET.format(preset))
+        fmus[preset] = build(assembly, scene.sheet.with_name(f"{preset}.fmu"), [host_platform()])
     touching = slice(int(scene.moments[0]) - 1, int(scene.moments[-1]))
 
     def work(name: str) -> tuple[Real, int, float]:
@@ -249,7 +243,7 @@ def detection_rows(results: Mapping[str, Any]) -> tuple[list[str], list[list[str
 
 def step_rows(results: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Headings and rows of the table of steps."""
-    rows, ours = [], results["step"]["symplectic_euler"]["median"]
+    rows, ours = [], results["step"]["accurate"]["median"]
     for name, f in sorted(results["step"].items(), key=lambda item: float(item[1]["median"])):
         times = [_microseconds(f[key]) for key in ("median", "p99", "p99.9", "max")]
         lowest = f"{1e3 * f['lowest']:.2f} mm at {f['looked at']} ms, ours {1e3 * f['lowest of ours']:.2f}"

@@ -35,7 +35,7 @@ Say = Callable[[str], None]
 
 SHEET = "bench 6K"  # the sheet of `make bench` on which a step has a budget; no scenario, so nothing is expected of it
 # Every preset is one of these.
-CANDIDATES = [Preset("projective_dynamics", n) for n in (1, 2, 3, 5)] + [BEYOND_SPRINGS]
+CANDIDATES = [*levers.PROJECTIVE, BEYOND_SPRINGS]
 SAFETIES = (0.2, 0.1)  # of the two references, shares of the stable limit of symplectic Euler
 FINER = 4.0  # times the triangles of the mesh whose error is told beside
 WITHIN = {"fast": 0.05, "balanced": 0.01}  # error of the force in the worst of the scenarios that a preset may have
@@ -95,7 +95,8 @@ def cases(folder: Path, say: Say) -> list[Case]:
 
 def references(case: Case) -> list[Job]:
     """Symplectic Euler with short substeps, then with the shortest; then, where it can be had, on a finer mesh."""
-    exact = {"integrator": "symplectic_euler", "iterations": None, "substeps": 0, "max_substeps": 100_000}
+    own = {"iterations": None, "tolerance": None}
+    exact = {"integrator": "symplectic_euler", **own, "substeps": 0, "max_substeps": 100_000}
     found = [case.edited(exact | {"safety": safety}) for safety in SAFETIES]
     if not levers.meshes_left(case.scene):
         known = levers.grounds(case.scene, assemble(case.scene).model.contact_reach)

@@ -34,7 +34,7 @@ from tissue_contact.simulate import Instance, run
 
 SOLVERS = {
     "symplectic_euler": "",
-    "projective_dynamics": bench.PROJECTIVE.format(2),
+    "projective_dynamics": 'integrator = "projective_dynamics"\niterations = 2',
 }
 PRESSED = 450  # steps of the motion of bench until the capsule is deep and slides
 COUNTED = 20  # steps whose instructions are counted

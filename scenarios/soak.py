@@ -64,18 +64,16 @@ def figures(ran: Soak, places: int) -> dict[str, Any]:
     }
 
 
-def measure(integrator: str, iterations: int, level: str, repeats: int, core: int) -> dict[str, Any]:
+def measure(preset: str, level: str, repeats: int, core: int) -> dict[str, Any]:
     """The figures of `make soak`."""
-    projective = integrator == "projective_dynamics"
-    solver = bench.PROJECTIVE.format(iterations) if projective else f'integrator = "{integrator}"'
     path = there_and_back()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        _, fmu = bench.built(bench.on_sheet(bench.write_sheet(level, folder), solver), folder)
+        _, fmu = bench.built(bench.on_sheet(bench.write_sheet(level, folder), bench.PRESET.format(preset)), folder)
         before = stolen(core)
         ran = soak(fmu, path, bench.STEP, repeats, core)
         lost = stolen(core) - before
-    scene = {"integrator": integrator, "iterations": iterations, "level": level, "core": core}
+    scene = {"preset": preset, "level": level, "core": core}
     taken = {"seconds": round(float(ran.step_ns.sum()) / 1e9, 1), "seconds stolen": round(lost, 2)}
     return scene | figures(ran, len(path)) | taken
 
@@ -92,8 +90,7 @@ def table(results: dict[str, Any]) -> Table:
 
 def main(
     output: Path = Path("build/soak.json"),
-    integrator: str = "projective_dynamics",
-    iterations: int = 2,
+    preset: str = "balanced",
     level: str = bench.COMPARED,
     seconds: float = 600.0,
     core: int | None = None,
@@ -103,7 +100,7 @@ def main(
     if core is not None and core not in allowed:
         raise InputError("core", "must be one that this process may use", core, f"Choose from {allowed}")
     repeats = max(1, round(seconds / (len(there_and_back()) * bench.STEP)))
-    results = measure(integrator, iterations, level, repeats, allowed[-1] if core is None else core)
+    results = measure(preset, level, repeats, allowed[-1] if core is None else core)
     console = Console()
     console.print(table(results))
     publish(output, (json.dumps(results, indent=1) + "\n").encode())

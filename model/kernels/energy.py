@@ -48,10 +48,12 @@ def tissue_energies(model, parameters, state):
             strain = volume_pressure(model, parameters, state, n) / k
             elastic += 0.5 * k * model.tissue_volume[n] * strain * strain
         speed, place = 0.0, 0.0  # [m² (m/s)²] and [m⁴], squares times areas
-        for v in range(model.tissue_vertex_start[n], model.tissue_vertex_start[n + 1]):
-            dx, dy, dz = state.x[v] - model.rest_x[v], state.y[v] - model.rest_y[v], state.z[v] - model.rest_z[v]
+        first, last = model.tissue_vertex_start[n], model.tissue_vertex_start[n + 1]
+        for v in range(first, last):
             square = state.vx[v] * state.vx[v] + state.vy[v] * state.vy[v] + state.vz[v] * state.vz[v]
             speed += model.node_area[v] * square
+        for v in range(first, last if support > 0.0 else first):
+            dx, dy, dz = state.x[v] - model.rest_x[v], state.y[v] - model.rest_y[v], state.z[v] - model.rest_z[v]
             place += model.node_area[v] * (dx * dx + dy * dy + dz * dz)
         kinetic += 0.5 * density * speed
         elastic += 0.5 * support * place

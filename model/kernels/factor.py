@@ -3,7 +3,8 @@
 M are the masses, c [N·s/m³] drag and support together, L the Laplacian of the springs' stiffness, a part of it, their
 dampers over dt and the support. A is the same for x, y and z. Rows are the free vertices in an order of little fill,
 found at assembly with the places of all entries (`tissue_contact.elimination`). L is kept twice, by columns and by
-rows, so that both substitutions gather. Right sides lie four numbers a row: x, y, z and one of padding.
+rows, so that both substitutions gather. Right sides lie four numbers a row: x, y, z and one of padding; entries name
+their row, or column, by where its right sides begin.
 """
 
 from tissue_contact.kernels.compiled import inner
@@ -81,7 +82,7 @@ def _factorise(model, scratch):
             work[rows[e]] = down[e]
         pivot = inverse[j]
         for q in range(model.factor_across_start[j], model.factor_across_start[j + 1]):
-            k, at = model.factor_across_column[q], model.factor_across_entry[q]
+            k, at = model.factor_across_column[q] // 4, model.factor_across_entry[q]
             scaled = down[at] / inverse[k]  # of a column that is done the diagonal is 1/D
             pivot -= down[at] * scaled
             for e in range(at + 1, start[k + 1]):
@@ -101,17 +102,17 @@ def _gather(right, o, scale, e, last, places, values):
     x2, y2, z2, w2 = 0.0, 0.0, 0.0, 0.0
     x3, y3, z3, w3 = 0.0, 0.0, 0.0, 0.0
     while e + 4 <= last:
-        j, a = 4 * places[e], values[e]
+        j, a = places[e], values[e]
         x, y, z, w = x - a * right[j], y - a * right[j + 1], z - a * right[j + 2], w - a * right[j + 3]
-        j, a = 4 * places[e + 1], values[e + 1]
+        j, a = places[e + 1], values[e + 1]
         x1, y1, z1, w1 = x1 - a * right[j], y1 - a * right[j + 1], z1 - a * right[j + 2], w1 - a * right[j + 3]
-        j, a = 4 * places[e + 2], values[e + 2]
+        j, a = places[e + 2], values[e + 2]
         x2, y2, z2, w2 = x2 - a * right[j], y2 - a * right[j + 1], z2 - a * right[j + 2], w2 - a * right[j + 3]
-        j, a = 4 * places[e + 3], values[e + 3]
+        j, a = places[e + 3], values[e + 3]
         x3, y3, z3, w3 = x3 - a * right[j], y3 - a * right[j + 1], z3 - a * right[j + 2], w3 - a * right[j + 3]
         e += 4
     while e < last:
-        j, a = 4 * places[e], values[e]
+        j, a = places[e], values[e]
         x, y, z, w = x - a * right[j], y - a * right[j + 1], z - a * right[j + 2], w - a * right[j + 3]
         e += 1
     right[o], right[o + 1] = (x + x1) + (x2 + x3), (y + y1) + (y2 + y3)
@@ -142,7 +143,7 @@ def mark_path(model, scratch, row):
     while row < rows and scratch.path[row] == 0:
         scratch.path[row] = 1
         first = model.factor_start[row]
-        row = int(model.factor_row[first]) if first < model.factor_start[row + 1] else rows
+        row = int(model.factor_row[first]) // 4 if first < model.factor_start[row + 1] else rows
 
 
 @inner
@@ -163,7 +164,7 @@ def forward_path(model, scratch, count, right):
         j = scratch.path_row[m]
         x, y, z, w = right[4 * j], right[4 * j + 1], right[4 * j + 2], right[4 * j + 3]
         for e in range(model.factor_start[j], model.factor_start[j + 1]):
-            o, a = 4 * model.factor_row[e], scratch.factor_down[e]
+            o, a = model.factor_row[e], scratch.factor_down[e]
             right[o], right[o + 1] = right[o] - a * x, right[o + 1] - a * y
             right[o + 2], right[o + 3] = right[o + 2] - a * z, right[o + 3] - a * w
 
@@ -176,7 +177,7 @@ def backward_path(model, scratch, count, source, out):
         o, scale = 4 * i, scratch.factor_inverse[i]
         x, y, z, w = scale * source[o], scale * source[o + 1], scale * source[o + 2], scale * source[o + 3]
         for e in range(model.factor_start[i], model.factor_start[i + 1]):
-            j, a = 4 * model.factor_row[e], scratch.factor_down[e]
+            j, a = model.factor_row[e], scratch.factor_down[e]
             x, y, z, w = x - a * out[j], y - a * out[j + 1], z - a * out[j + 2], w - a * out[j + 3]
         out[o], out[o + 1], out[o + 2], out[o + 3] = x, y, z, w
 

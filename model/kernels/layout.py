@@ -77,14 +77,14 @@ class Model(NamedTuple):
     factor_vertex: Index  # shape [F], vertex of each row of the factor
     factor_place: Index  # shape [V], row of each vertex, F where it is fixed
     factor_start: Index  # shape [F + 1], where the entries of a column begin
-    factor_row: Index  # shape [N], rows of the entries of each column
+    factor_row: Index  # shape [N], four times the rows of the entries of each column
     factor_across_start: Index  # shape [F + 1], where the entries of a row begin
-    factor_across_column: Index  # shape [N], columns of the entries of each row
+    factor_across_column: Index  # shape [N], four times the columns of the entries of each row
     factor_across_entry: Index  # shape [N], the entry's number by columns
     factor_spring: Index  # shape [S], entry of each spring, N where an end is fixed
     probe_triangle: Index  # shape [Q]
     integrator: Index  # shape [1], SYMPLECTIC_EULER to PROJECTIVE_DYNAMICS of `stability`
-    iterations: Index  # shape [1], of a step of projective dynamics
+    iterations: Index  # shape [1], of a substep of projective dynamics at most
     continuous: Index  # shape [1], 1: steps and detections follow the motion
     substeps_fixed: Index  # shape [1], 0: automatic
     substeps_max: Index  # shape [1]
@@ -151,6 +151,7 @@ class Model(NamedTuple):
     safety: Real  # [1], shape [1], share of the stable limit that is used
     detection_period: Real  # [s], shape [1], time between two collision detections
     energy_gain: Real  # [1], shape [1], energy that may come from nowhere over what was put in
+    tolerance: Real  # [1], shape [1], change of the contacts' impulse with which projective dynamics is content
 
 
 class State(NamedTuple):
@@ -213,7 +214,7 @@ class Scratch(NamedTuple):
 
     M is the most touches of a contact; C the most cells that a body's grid has; E the points that a substep of
     symplectic or implicit Euler, or projective dynamics, may press at once; F, N and D are 0 but for projective
-    dynamics, D the rows that contacts may press.
+    dynamics, D the rows whose compliances are kept.
     """
 
     outcode: Index  # shape [V], which faces of the body's box a vertex lies beyond, a bit a face
@@ -231,14 +232,14 @@ class Scratch(NamedTuple):
     corner: Index  # shape [V where symplectic Euler meets a contact, else 0], corners of all pressed points, once each
     path: Index  # shape [F], 1 where a row is reached by the elimination of some rows
     path_row: Index  # shape [F], the rows that are reached
-    touched: Index  # shape [D], rows that contacts and holds press, ascending
+    touched: Index  # shape [F], rows that contacts and holds press; ascending
     touched_mark: Index  # shape [F], 1 where a row is among them
     touched_count: Index  # shape [1]
     slot_row: Index  # shape [D], row whose compliances a slot holds, F if none
     slot_new: Index  # shape [D], 1 where they are still to be found
     row_slot: Index  # shape [F], slot of a row, D if none
     lane_slot: Index  # shape [4]
-    push_row: Index  # shape [3 D]
+    push_row: Index  # shape [3 F]
     detail: Real  # shape [2], figures for the message of a status
     expansion: Real  # shape [256], exact arithmetic
     fx: Real  # [N], shape [V], force on a vertex
@@ -262,8 +263,10 @@ class Scratch(NamedTuple):
     unit_y: Real  # [1], shape as unit_x
     unit_z: Real  # [1], shape as unit_x
     solve: Real  # shape [12 V where a spring is damped or a step is implicit, else 0], vectors of a linear solve
-    start: Real  # [m, m/s], shape [6 V for Runge–Kutta and implicit Euler, else 0], at the beginning of a substep
-    slope: Real  # shape as start, sums of slopes, or the change of the velocities
+    start: Real  # [m, m/s], shape [6 V for Runge–Kutta and implicit steps, else 0], at the beginning of a substep
+    slope: (
+        Real  # shape [6 V for Runge–Kutta and implicit Euler, else 0], sums of slopes, or the change of the velocities
+    )
     along: Real  # [N/m], shape [S for implicit Euler, else 0], tangent stiffness along a spring
     across: Real  # [N/m], shape as along, across it
     volume_gradient: Real  # [m²], shape [3 V for implicit Euler, else 0]
@@ -277,9 +280,9 @@ class Scratch(NamedTuple):
     right: Real  # [kg·m/s], shape [4 F], right sides, x, y, z and padding of a row
     unit_right: Real  # shape [4 F], right sides of single rows
     row_press: Real  # shape [5 F], how a row is pressed: sum of directions, and stiffness along and across [kg]
-    push: Real  # [1], shape [9 D], directions in which touched rows are pressed
-    push_stiffness: Real  # [kg], shape [3 D]
-    push_size: Real  # [kg·m/s], shape [3 D]
+    push: Real  # [1], shape [9 F], directions in which touched rows are pressed
+    push_stiffness: Real  # [kg], shape [3 F]
+    push_size: Real  # [kg·m/s], shape [3 F]
     push_matrix: Real  # [1/kg], shape [9 D D]
     active_wa: Real  # [1], shape [E], areal coordinates of a pressed point
     active_wb: Real  # [1], shape [E]

@@ -7,6 +7,8 @@ It is taken in whole by the identity of Woodbury: with E the touched rows, H the
     (A + E H Eᵀ)⁻¹ r = A⁻¹ (r - E y),    (H⁻¹ + S) y = Eᵀ A⁻¹ r.
 
 Of H only what lies on the diagonal of blocks counts, the sum of each row of the contacts' matrix: no less than that.
+Of few touched rows all entries of S are kept, and the system for y is factorised. Of many, each product with S is one
+with the factor of A, along the path of the touched rows in the elimination tree, and conjugate gradients solve it.
 """
 
 import math
@@ -27,6 +29,8 @@ from tissue_contact.kernels.slots import (
     AREAL_DENSITY,
     DAMPING_SCALE,
     DRAG,
+    GATHER,
+    GATHER_SIZE,
     SUPPORT_DAMPING,
     SUPPORT_STIFFNESS,
     TISSUE_PARAMETERS,
@@ -34,6 +38,14 @@ from tissue_contact.kernels.slots import (
 from tissue_contact.kernels.springs import damp_product, directions
 
 FAINT = 1e-9  # of a row's diagonal in A, below which the stiffness of a contact is left out
+SETTLED = 1e-6  # of the right side, weighted by H: far less than an iteration leaves out of the springs
+
+
+@inner
+def _keep(values, out, first):
+    """Copy values to the places from first on; one array at a time is copied in vectors."""
+    for v in range(values.size):
+        out[first + v] = values[v]
 
 
 @inner
@@ -82,24 +94,24 @@ def _residual(model, parameters, state, scratch, elapsed, dt, n):
                 scratch.fx[v] -= q[v]
                 scratch.fy[v] -= q[n + v]
                 scratch.fz[v] -= q[2 * n + v]
-        density, support = parameters[own + AREAL_DENSITY], dt * parameters[own + SUPPORT_STIFFNESS]
+        density, support = parameters[own + AREAL_DENSITY], parameters[own + SUPPORT_STIFFNESS]
         c = dt * (parameters[own + DRAG] + parameters[own + SUPPORT_DAMPING])
         gx, gy, gz = dt * density * g[0], dt * density * g[1], dt * density * g[2]
-        for v in range(model.tissue_vertex_start[tissue], model.tissue_vertex_start[tissue + 1]):
+        first, last = model.tissue_vertex_start[tissue], model.tissue_vertex_start[tissue + 1]
+        for v in range(first, last if support > 0.0 else first):
+            a = support * model.node_area[v]
+            scratch.fx[v] -= a * (state.x[v] - model.rest_x[v])
+            scratch.fy[v] -= a * (state.y[v] - model.rest_y[v])
+            scratch.fz[v] -= a * (state.z[v] - model.rest_z[v])
+        for v in range(first, last):
             row = model.factor_place[v]
             if row == model.factor_vertex.size:
                 continue
             a, o = model.node_area[v], 4 * row
             vx, vy, vz = state.vx[v], state.vy[v], state.vz[v]
-            right[o] = dt * scratch.fx[v] + a * (
-                density * (start[3 * n + v] - vx) - support * (state.x[v] - model.rest_x[v]) - c * vx + gx
-            )
-            right[o + 1] = dt * scratch.fy[v] + a * (
-                density * (start[4 * n + v] - vy) - support * (state.y[v] - model.rest_y[v]) - c * vy + gy
-            )
-            right[o + 2] = dt * scratch.fz[v] + a * (
-                density * (start[5 * n + v] - vz) - support * (state.z[v] - model.rest_z[v]) - c * vz + gz
-            )
+            right[o] = dt * scratch.fx[v] + a * (density * (start[3 * n + v] - vx) - c * vx + gx)
+            right[o + 1] = dt * scratch.fy[v] + a * (density * (start[4 * n + v] - vy) - c * vy + gy)
+            right[o + 2] = dt * scratch.fz[v] + a * (density * (start[5 * n + v] - vz) - c * vz + gz)
             right[o + 3] = 0.0
 
 
@@ -113,8 +125,7 @@ def _lump(model, scratch, vertex, weight, k):
     along, across, o = scratch.active_normal[k], scratch.active_tangential[k], 5 * row
     if scratch.touched_mark[row] == 0:
         scratch.touched_mark[row] = 1
-        if scratch.touched_count[0] < scratch.touched.size:
-            scratch.touched[scratch.touched_count[0]] = row
+        scratch.touched[scratch.touched_count[0]] = row
         scratch.touched_count[0] += 1
         for e in range(5):
             press[o + e] = 0.0
@@ -138,7 +149,7 @@ def _touched(model, scratch):
     for row in range(scratch.touched_mark.size):
         scratch.touched_mark[row] = 0
     # Ascending, so that what comes of them does not depend on which was touched first in an earlier step.
-    for k in range(1, min(count, scratch.touched.size)):
+    for k in range(1, count):
         row, m = scratch.touched[k], k
         while m > 0 and scratch.touched[m - 1] > row:
             scratch.touched[m] = scratch.touched[m - 1]
@@ -233,40 +244,105 @@ def _directions_of(scratch, row, out, m, stiffness):
 
 @inner
 def _press_back(model, scratch, count):
-    """Take the stiffness of the touched rows into the solution: subtract L⁻¹ E y from the right sides L⁻¹ r."""
-    slots, right, work = scratch.slot_row.size, scratch.right, scratch.unit_right
-    _compliances(model, scratch, count)
+    """Take the stiffness of the touched rows into the solution: subtract L⁻¹ E y from the right sides L⁻¹ r.
+
+    Returns
+    -------
+    float
+        Sum of |y| [kg·m/s], by which this changes the impulses of the contacts.
+    """
+    right, work = scratch.right, scratch.unit_right
+    few = count <= scratch.slot_row.size
+    if few:
+        _compliances(model, scratch, count)
     for k in range(count):
         mark_path(model, scratch, int(scratch.touched[k]))
     path = list_path(scratch)
     backward_path(model, scratch, path, right, work)
-    push, stiffness, y, matrix = scratch.push, scratch.push_stiffness, scratch.push_size, scratch.push_matrix
+    stiffness, y = scratch.push_stiffness, scratch.push_size
     m = 0
     for k in range(count):
         row, before = int(scratch.touched[k]), m
-        m = _directions_of(scratch, row, push, m, stiffness)
+        m = _directions_of(scratch, row, scratch.push, m, stiffness)
         for i in range(before, m):
             scratch.push_row[i] = row
-            o = 4 * row
-            y[i] = push[3 * i] * work[o] + push[3 * i + 1] * work[o + 1] + push[3 * i + 2] * work[o + 2]
+            stiffness[i] = max(stiffness[i], FAINT / scratch.factor_inverse[row])
+            y[i] = _along(scratch, i, work)
+    if few:
+        _solve_few(scratch, y, m)
+    else:
+        _solve_many(model, scratch, path, y, m)
+    _spread(scratch, path, y, m, work)
+    forward_path(model, scratch, path, work)
+    for i in range(path):
+        o = 4 * scratch.path_row[i]
+        for lane in range(3):
+            right[o + lane] -= work[o + lane]
+    changed = 0.0
+    for i in range(m):
+        changed += abs(y[i])
+    return changed
+
+
+@inner
+def _along(scratch, i, values):
+    """Component of values of rows along push i."""
+    push, o = scratch.push, 4 * scratch.push_row[i]
+    return push[3 * i] * values[o] + push[3 * i + 1] * values[o + 1] + push[3 * i + 2] * values[o + 2]
+
+
+@inner
+def _spread(scratch, path, y, m, out):
+    """E y of m pushes into ``out``, on the listed path of ``path`` rows."""
+    clear_path(scratch, path, out)
+    for i in range(m):
+        o = 4 * scratch.push_row[i]
+        for axis in range(3):
+            out[o + axis] += y[i] * scratch.push[3 * i + axis]
+
+
+@inner
+def _solve_few(scratch, y, m):
+    """Solve (H⁻¹ + S) y = y in place by the kept entries of S."""
+    slots, push, matrix = scratch.slot_row.size, scratch.push, scratch.push_matrix
     for i in range(m):
         own = int(scratch.row_slot[scratch.push_row[i]]) * slots
         for j in range(i + 1):
             s = scratch.compliance[own + int(scratch.row_slot[scratch.push_row[j]])]
             s *= push[3 * i] * push[3 * j] + push[3 * i + 1] * push[3 * j + 1] + push[3 * i + 2] * push[3 * j + 2]
             matrix[i * m + j] = s
-        matrix[i * m + i] += 1.0 / max(stiffness[i], FAINT / scratch.factor_inverse[scratch.push_row[i]])
+        matrix[i * m + i] += 1.0 / scratch.push_stiffness[i]
     _cholesky_solve(matrix, y, m)
-    clear_path(scratch, path, work)
+
+
+@inner
+def _solve_many(model, scratch, path, y, m):
+    """Solve (H⁻¹ + S) y = y in place by conjugate gradients, H before them, to `SETTLED` of the right side."""
+    work, h = scratch.unit_right, scratch.push_stiffness
+    room = scratch.solve.size // 4  # of the vectors of a solve, which no force needs now
+    residual, search, product = scratch.solve[:room], scratch.solve[room : 2 * room], scratch.solve[2 * room : 3 * room]
+    square = 0.0
     for i in range(m):
-        o = 4 * scratch.push_row[i]
-        for axis in range(3):
-            work[o + axis] += y[i] * push[3 * i + axis]
-    forward_path(model, scratch, path, work)
-    for i in range(path):
-        o = 4 * scratch.path_row[i]
-        for lane in range(3):
-            right[o + lane] -= work[o + lane]
+        residual[i], search[i], y[i] = y[i], h[i] * y[i], 0.0
+        square += residual[i] * search[i]
+    enough = SETTLED * SETTLED * square
+    for _ in range(m):
+        if square <= enough:
+            return
+        _spread(scratch, path, search, m, work)
+        forward_path(model, scratch, path, work)
+        backward_path(model, scratch, path, work, work)
+        curve = 0.0
+        for i in range(m):
+            product[i] = search[i] / h[i] + _along(scratch, i, work)
+            curve += search[i] * product[i]
+        way, before, square = square / curve, square, 0.0
+        for i in range(m):
+            y[i] += way * search[i]
+            residual[i] -= way * product[i]
+            square += h[i] * residual[i] * residual[i]
+        for i in range(m):
+            search[i] = h[i] * residual[i] + square / before * search[i]
 
 
 @inner
@@ -292,38 +368,41 @@ def _cholesky_solve(a, y, m):
 
 
 @inner
-def projective_dynamics(model, parameters, state, scratch, elapsed, dt):
-    """One substep, from elapsed [s] after the last communication point; what the bodies feel is that of its end.
+def _pressed(scratch):
+    """Sum of the sizes of all forces on bodies [N]."""
+    total = 0.0
+    for b in range(scratch.contact.size // GATHER):
+        total += scratch.contact[GATHER * b + GATHER_SIZE]
+    return total
 
-    Returns
-    -------
-    bool
-        Whether it was done. If contacts press more vertices than there is room for, the state is as it was.
-    """
+
+@inner
+def projective_dynamics(model, parameters, state, scratch, elapsed, dt):
+    """One substep, from elapsed [s] after the last communication point; what the bodies feel is that of its end."""
     n, start, right = state.x.size, scratch.start, scratch.right
     ready(model, parameters, scratch, dt)
-    for v in range(n):
-        start[v], start[n + v], start[2 * n + v] = state.x[v], state.y[v], state.z[v]
-        start[3 * n + v], start[4 * n + v], start[5 * n + v] = state.vx[v], state.vy[v], state.vz[v]
+    _keep(state.x, start, 0)
+    _keep(state.y, start, n)
+    _keep(state.z, start, 2 * n)
+    _keep(state.vx, start, 3 * n)
+    _keep(state.vy, start, 4 * n)
+    _keep(state.vz, start, 5 * n)
     work, dissipated = state.work[0], state.dissipated[0]
     for _ in range(model.iterations[0]):
         _residual(model, parameters, state, scratch, elapsed, dt, n)
         state.work[0], state.dissipated[0] = work, dissipated
-        count = _touched(model, scratch)
-        if count > scratch.touched.size:
-            for v in range(n):
-                state.x[v], state.y[v], state.z[v] = start[v], start[n + v], start[2 * n + v]
-                state.vx[v], state.vy[v], state.vz[v] = start[3 * n + v], start[4 * n + v], start[5 * n + v]
-            return False
+        count, changed = _touched(model, scratch), 0.0
         forward(model, scratch)
         if count > 0:
-            _press_back(model, scratch, count)
+            changed = _press_back(model, scratch, count)
         backward(model, scratch)
         for row in range(model.factor_vertex.size):
             v, o = model.factor_vertex[row], 4 * row
             state.vx[v] += right[o]
             state.vy[v] += right[o + 1]
             state.vz[v] += right[o + 2]
+        if model.tolerance[0] > 0.0 and changed <= model.tolerance[0] * dt * _pressed(scratch):
+            break
     _place(state, scratch, dt, n)
     clear_contacts(state, scratch)
     contact_forces(model, parameters, state, scratch, elapsed + dt, dt, False)
@@ -337,4 +416,3 @@ def projective_dynamics(model, parameters, state, scratch, elapsed, dt):
             if damped:
                 q = scratch.solve[3 * n : 6 * n]
                 scratch.loss[v] += dt * (vx * q[v] + vy * q[n + v] + vz * q[2 * n + v])
-    return True

@@ -204,9 +204,10 @@ def _substep(model, parameters, state, scratch, elapsed, dt):
     if scheme == RUNGE_KUTTA_4:
         runge_kutta(model, parameters, state, scratch, elapsed, dt)
     elif scheme in (IMPLICIT_EULER, PROJECTIVE_DYNAMICS):
-        # Where contacts press more of the tissue than there is room for, the same equations are solved the slow way.
-        if scheme == IMPLICIT_EULER or not projective_dynamics(model, parameters, state, scratch, elapsed, dt):
+        if scheme == IMPLICIT_EULER:
             implicit_euler(model, parameters, state, scratch, elapsed, dt)
+        else:
+            projective_dynamics(model, parameters, state, scratch, elapsed, dt)
         add_pulse(scratch, dt)
     else:
         tissue_forces(model, parameters, state, scratch)

@@ -14,14 +14,14 @@ from tissue_contact.bodies import spacing_of
 from tissue_contact.errors import InputError
 from tissue_contact.fields import CUTS_MAX, longest_edges
 from tissue_contact.geometry import FloatArray
-from tissue_contact.presets import PRESETS
+from tissue_contact.presets import PRESETS, Preset
 from tissue_contact.scene import Contact, Instrument, Rigid, Scene, Tissue, parse_scene
 from tissue_contact.settings import check_word, setting
 from tissue_contact.surfaces import surface_of
 
 SAFETIES = (0.95, 0.7, 0.5, 0.25)  # of symplectic Euler, shares of its stable limit
 IMPLICIT_SUBSTEPS = (1, 2, 4)
-PROJECTIVE_ITERATIONS = (1, 2, 3, 5)
+PROJECTIVE = (*(Preset("projective_dynamics", n) for n in (1, 2, 3, 5)), PRESETS["balanced"])
 MESH_FACTORS = (1 / 8, 1 / 4, 1 / 2, 2, 4)  # on the number of triangles
 SPACING_FACTORS = (1 / 2, 2, 4)
 PERIOD_FACTORS = (1 / 4, 4)
@@ -140,6 +140,12 @@ def _digits(value: float) -> float:
 Choices = dict[str, list[Edit]]  # by label
 
 
+def _named(settings: Preset) -> str:
+    """Settings in words, with the preset that they are."""
+    names = [f" (preset {name})" for name, preset in PRESETS.items() if preset == settings]
+    return settings.words + "".join(names)
+
+
 def _integration(scene: Scene, known: Grounds) -> Choices:
     """Integrators, each with what sets its substep."""
     schemes: dict[str, dict[str, Any]] = {
@@ -151,14 +157,10 @@ def _integration(scene: Scene, known: Grounds) -> Choices:
         f"implicit_euler, {n} substep{'s' * (n > 1)}": {"integrator": "implicit_euler", "substeps": n}
         for n in IMPLICIT_SUBSTEPS
     }
-    schemes |= {
-        f"projective_dynamics, {n} iteration{'s' * (n > 1)}": {
-            "integrator": "projective_dynamics", "substeps": 0, "iterations": n,
-        }
-        for n in PROJECTIVE_ITERATIONS
-    }  # fmt: skip
-    # iterations have no meaning for any other
-    without: dict[str, Any] = {"iterations": None} if scene.solver.integrator == "projective_dynamics" else {}
+    schemes |= {_named(settings): {"substeps": 0, **settings.keys} for settings in PROJECTIVE}
+    # what has no meaning for any other
+    own = ("iterations", "tolerance") if scene.solver.integrator == "projective_dynamics" else ()
+    without: dict[str, Any] = dict.fromkeys(own)
     return {label: [Edit(("solver", k), v) for k, v in (without | keys).items()] for label, keys in schemes.items()}
 
 
@@ -328,6 +330,7 @@ def reference(scene: Scene, known: Grounds, factor: float) -> list[Edit]:
     keys = {
         "integrator": "symplectic_euler",
         "iterations": None,
+        "tolerance": None,
         "substeps": 0,
         "safety": _digits(solver.safety / finer) if meshes_left(scene) else solver.safety,
         "max_substeps": 100_000,
