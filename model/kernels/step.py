@@ -6,7 +6,7 @@ The entries `initialize` and `step` are what Python, the FMU and every study cal
 import math
 
 from tissue_contact.kernels.collision import FIELD, LITERAL, PRIMITIVE, body_face, body_size
-from tissue_contact.kernels.compiled import inner, kernel
+from tissue_contact.kernels.compiled import inner, kernel, pointwise
 from tissue_contact.kernels.contact import contact_slots
 from tissue_contact.kernels.damping import count_damping, damp_contacts
 from tissue_contact.kernels.energy import weight_energy
@@ -101,15 +101,26 @@ def _check(model, parameters, inputs, scratch):
     return OK
 
 
+@pointwise
+def _runs_off(state, v):
+    """Whether a vertex is too far away or is no number, and the figure that says so."""
+    size = abs(state.x[v]) + abs(state.y[v]) + abs(state.z[v])
+    total = size + state.vx[v] + state.vy[v] + state.vz[v]
+    return not (size <= PLACE_MAX and math.isfinite(total)), total
+
+
 @inner
 def _check_state(state, scratch):
     """Refuse a tissue that runs off, also before it is looked at: its triangles would meet every cell of a body."""
-    for v in range(state.x.size):
-        size = abs(state.x[v]) + abs(state.y[v]) + abs(state.z[v])
-        total = size + state.vx[v] + state.vy[v] + state.vz[v]
-        if not (size <= PLACE_MAX and math.isfinite(total)):
-            scratch.detail[0], scratch.detail[1] = v, total
-            return NONFINITE_STATE
+    any_lost = False
+    for v in range(state.x.size):  # with no way out it runs in vectors
+        any_lost |= _runs_off(state, v)[0]
+    if any_lost:
+        for v in range(state.x.size):
+            lost, total = _runs_off(state, v)
+            if lost:
+                scratch.detail[0], scratch.detail[1] = v, total
+                return NONFINITE_STATE
     return OK
 
 
@@ -431,9 +442,10 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
                 return status
     for v in range(state.x.size):
         state.dissipated[0] += scratch.loss[v]
-    status = _check_state(state, scratch)
-    if status != OK:
-        return status
+    if state.since_detection[0] > 0.0:  # else checked since it moved
+        status = _check_state(state, scratch)
+        if status != OK:
+            return status
     stored = give(model, parameters, state, scratch, h, substeps, outputs)
     work = state.work[0] - work
     state.put_in[0] += max(0.0, work) + max(0.0, weight - weight_energy(model, parameters, state))
