@@ -5,7 +5,7 @@ All in the body frame of the instrument; points and vectors are tuples of three.
 
 import math
 
-from tissue_contact.kernels.compiled import inner, kernel
+from tissue_contact.kernels.compiled import inner, kernel, pointwise
 from tissue_contact.kernels.tritri import alone
 from tissue_contact.kernels.vectors import dot
 
@@ -215,19 +215,25 @@ def support(inward, start, edge_start, neighbour, x, y, z):
     return best
 
 
-@kernel
-def facing(p, outer, part, axis, reach):
+@pointwise
+def shaft(axis, part):
+    """The shaft axis of a part of a body: tip end, unit vector to the handle, and length."""
+    i = 6 * part
+    t = (axis[i], axis[i + 1], axis[i + 2])
+    d = (axis[i + 3] - t[0], axis[i + 4] - t[1], axis[i + 5] - t[2])
+    length = math.sqrt(dot(d, d))
+    return t, (d[0] / length, d[1] / length, d[2] / length), length
+
+
+@pointwise
+def facing(p, outer, axis, reach):
     """How far the tissue's outer normal looks to the handle side, as a share of the part's reach, about -1.4 to 1.4.
 
     (M - p) . n_out / reach; the mark M lies on the shaft axis, at the point nearest to p and the reach further to the
     handle: a mark at the top of the instrument (thesis fig. 3.12) misjudges a shaft that lies along a convex organ.
     """
-    i = 6 * part
-    t = (axis[i], axis[i + 1], axis[i + 2])
-    d = (axis[i + 3] - t[0], axis[i + 4] - t[1], axis[i + 5] - t[2])
-    length = math.sqrt(dot(d, d))
-    d = (d[0] / length, d[1] / length, d[2] / length)
+    t, d, length = axis
     along = dot((p[0] - t[0], p[1] - t[1], p[2] - t[2]), d)
-    along = min(length, max(0.0, along)) + reach[part]
+    along = min(length, max(0.0, along)) + reach
     m = (t[0] + along * d[0] - p[0], t[1] + along * d[1] - p[1], t[2] + along * d[2] - p[2])
-    return dot(m, outer) / reach[part]
+    return dot(m, outer) / reach

@@ -8,7 +8,7 @@ only the potentially colliding ones go to the exact triangle-triangle test. Cost
 first pass, one change of frame for every vertex.
 """
 
-from tissue_contact.kernels.collision import facing, pair_point
+from tissue_contact.kernels.collision import facing, pair_point, shaft
 from tissue_contact.kernels.compiled import inner
 from tissue_contact.kernels.occupancy import locate
 from tissue_contact.kernels.side import REJECTED, latch
@@ -105,7 +105,8 @@ def _latch(model, scratch, latched, n, t1, t2, t3):
             t1[1] + w[1] * e1[1] + w[2] * e2[1],
             t1[2] + w[1] * e1[2] + w[2] * e2[2],
         )
-        total += facing(p, outer, model.body_part[u], model.part_axis, model.part_reach)
+        part = model.body_part[u]
+        total += facing(p, outer, shaft(model.part_axis, part), model.part_reach[part])
     return latch(latched, total / n)
 
 

@@ -6,7 +6,7 @@ found here and at nothing else.
 
 import math
 
-from tissue_contact.kernels.collision import facing
+from tissue_contact.kernels.collision import facing, shaft
 from tissue_contact.kernels.compiled import inner, pointwise
 from tissue_contact.kernels.field import FAR, GRID, fields_of, part_distance
 from tissue_contact.kernels.occupancy import locate
@@ -50,6 +50,8 @@ def gap_to(model, first, last, p):
 @inner
 def _nearest_part(model, first, last, p):
     """The part of a body whose surface is nearest to a point of its frame."""
+    if last - first == 1:
+        return first
     best, part = math.inf, first
     fields = fields_of(model)
     for k in range(first, last):
@@ -99,6 +101,7 @@ def find_near_triangles(model, state, scratch, contact, r, p):
         return  # nothing is near and nothing is latched
     begin = model.contact_near_start[contact]
     first_part, last_part = model.body_part_start[body], model.body_part_start[body + 1]
+    axis_part, axis = first_part, shaft(model.part_axis, first_part)
     n, rejected = 0, 0
     x, y, z, outcode = scratch.local_x, scratch.local_y, scratch.local_z, scratch.outcode
     for t in range(first, last):
@@ -120,7 +123,9 @@ def find_near_triangles(model, state, scratch, contact, r, p):
             if size > 0.0:
                 outer = (normal[0] / size, normal[1] / size, normal[2] / size)
                 part = _nearest_part(model, first_part, last_part, middle)
-                seen = facing(middle, outer, part, model.part_axis, model.part_reach)
+                if part != axis_part:
+                    axis_part, axis = part, shaft(model.part_axis, part)
+                seen = facing(middle, outer, axis, model.part_reach[part])
                 state.side[side] = latch(state.side[side], seen)
             elif state.side[side] == 0:
                 state.side[side] = FACING
