@@ -7,6 +7,7 @@ import numpy as np
 
 from tissue_contact import fields, geometry
 from tissue_contact.assembly import Assembly, start_values
+from tissue_contact.blocks import Blocks, blocks_of
 from tissue_contact.bodies import Body, body_of, polytopes, spacing_of
 from tissue_contact.elimination import Elimination, elimination
 from tissue_contact.errors import InputError
@@ -15,6 +16,7 @@ from tissue_contact.kernels import slots
 from tissue_contact.kernels.collision import BODIES, FIELD, LITERAL, POLYTOPE, PRIMITIVE
 from tissue_contact.kernels.laws import HUNT_CROSSLEY, KELVIN_VOIGT
 from tissue_contact.kernels.layout import Model, Scratch, State, pack
+from tissue_contact.kernels.occupancy import WORD
 from tissue_contact.kernels.stability import (
     EXPLICIT_EULER,
     IMPLICIT_EULER,
@@ -162,6 +164,7 @@ def _model(scene: Scene, sheets: list[Sheet], bodies: list[Body]) -> Model:
     contacts = _contacts(scene, sheets, bodies)
     return Model(
         **contacts,
+        **_blocks(scene, sheets, vertex_start, triangle_start),
         **_factor(elimination(springs, free) if scene.solver.integrator == "projective_dynamics" else None),
         **_holds(scene, vertex_start),
         tissue_vertex_start=vertex_start,
@@ -254,6 +257,24 @@ def _factor(found: Elimination | None) -> dict[str, Any]:
     return {f"factor_{name}": _joined([]) if found is None else getattr(found, name) for name in Elimination._fields}
 
 
+def _blocks(scene: Scene, sheets: list[Sheet], vertex_start: IntArray, triangle_start: IntArray) -> dict[str, Any]:
+    """The arrays of the blocks, of tissues that a contact looks at: fields block_ of the Model."""
+    asked = {c.between[0] for c in scene.contact}
+    found = [
+        blocks_of(sheet.surface.vertices, sheet.surface.triangles) if tissue.name in asked else Blocks([], [])
+        for tissue, sheet in zip(scene.tissue, sheets, strict=True)
+    ]
+    triangles = [part + start for b, start in zip(found, triangle_start, strict=False) for part in b.triangles]
+    vertices = [part + start for b, start in zip(found, vertex_start, strict=False) for part in b.vertices]
+    return {
+        "tissue_block_start": _starts([len(b.triangles) for b in found]),
+        "block_triangle_start": _starts([len(part) for part in triangles]),
+        "block_triangle": _joined(triangles),
+        "block_vertex_start": _starts([len(part) for part in vertices]),
+        "block_vertex": _joined(vertices),
+    }
+
+
 def _contacts(scene: Scene, sheets: list[Sheet], bodies: list[Body]) -> dict[str, Any]:
     """The arrays of the contacts: fields contact_ and hull_ of the Model."""
     tissues = [t.name for t in scene.tissue]
@@ -263,10 +284,7 @@ def _contacts(scene: Scene, sheets: list[Sheet], bodies: list[Body]) -> dict[str
     body = [_body_index(scene, c.between[1]) for c in found]
     other = [_body_index(scene, c.between[0]) if b else 0 for c, b in zip(found, between_bodies, strict=True)]
     of_tissue = [0 if b else len(sheets[t].surface.triangles) for t, b in zip(tissue, between_bodies, strict=True)]
-    near = [
-        0 if not c.is_field else len(bodies[o].sample) if b else n
-        for c, o, b, n in zip(found, other, between_bodies, of_tissue, strict=True)
-    ]
+    near = [len(bodies[o].sample) if b else n for o, b, n in zip(other, between_bodies, of_tissue, strict=True)]
     hulls = [polytopes(c, bodies[b]) for c, b in zip(found, body, strict=True)]
     flat = [h for made in hulls for h in made]
     hull_start = _starts([len(h.vertices) for h in flat])
@@ -361,6 +379,7 @@ def _state(scene: Scene, model: Model, sizes: Sizes) -> State:
 
 def _scratch(scene: Scene, model: Model, parameters: int) -> Scratch:
     bodies, vertices, springs = len(model.body_radius), len(model.rest_x), len(model.spring_i)
+    triangles = len(model.block_triangle)
     capacity = max((end - begin for begin, end in pairwise(model.contact_touch_start)), default=0)
     cells = max((end - begin - 1 for begin, end in pairwise(model.grid_cell_start)), default=0)
     scheme = scene.solver.integrator
@@ -378,6 +397,8 @@ def _scratch(scene: Scene, model: Model, parameters: int) -> Scratch:
         "active": 1,
         "detail": 2,
         "expansion": 256,
+        "marks": -(-triangles // WORD),
+        "candidate": triangles,
         "vertex_share": vertices if capacity else 0,
         "corner": vertices if symplectic and scene.contact else 0,
         "damping": 23 * vertices if symplectic and scene.contact else 0,

@@ -5,6 +5,7 @@ import pytest
 from scenes import assembled, index, settled, write_mesh
 from scipy.spatial.transform import Rotation
 
+from tissue_contact import blocks
 from tissue_contact.kernels.detection import EMPTY, POTENTIAL, SOLO
 from tissue_contact.kernels.side import FACING, REJECTED
 from tissue_contact.kernels.step import initialize
@@ -31,6 +32,30 @@ INSTRUMENTS = [
     '{ kind = "box", size = [0.006, 0.004, 0.02], triangles = 300 }',
     '{ kind = "grasper", radius = 0.002, length = 0.03, jaw_length = 0.012, opening = 0.5, triangles = 300 }',
 ]
+
+TWO = """
+    [[tissue]]
+    name = "left"
+    shape = {{ kind = "patch", size = [0.02, 0.03], triangles = 300, curvature_radius = 0.05, seed = 1 }}
+    position = [-0.008, 0.0, 0.0]
+    areal_density = 1.0
+    stiffness = 100.0
+    [[tissue]]
+    name = "right"
+    shape = {{ kind = "patch", size = [0.02, 0.03], triangles = 500, curvature_radius = 0.05, seed = 2 }}
+    position = [0.008, 0.0, 0.0]
+    areal_density = 1.0
+    stiffness = 100.0
+    [[instrument]]
+    shape = {instrument}
+    [[contact]]
+    between = ["left", "instrument"]
+    {response}
+    [[contact]]
+    between = ["right", "instrument"]
+    {response}
+"""
+RESPONSES = ['response = "hull"\n    stiffness = 100.0', "stiffness_per_area = 1e6"]
 
 
 def random_pose(rng: np.random.Generator) -> np.ndarray:
@@ -104,6 +129,42 @@ def test_same_pairs_as_brute_force_on_deforming_meshes(shape):
     assert found > 200
     assert rejected > 0
     assert classes[EMPTY] and classes[SOLO] and classes[POTENTIAL]
+
+
+@pytest.mark.parametrize("shape", INSTRUMENTS)
+@pytest.mark.parametrize("response", RESPONSES, ids=["pairs", "field"])
+def test_blocks_find_what_one_block_of_all_triangles_finds(monkeypatch, shape, response):
+    """Through random motions of tissue and instrument, sides carried along; only what is listed as near has a side."""
+    seed = 22
+    rng = np.random.default_rng(seed)
+    instances = []
+    for size in (9, 10**9):
+        monkeypatch.setattr(blocks, "BLOCK", size)
+        instances.append(Instance(assembled(TWO.format(instrument=shape, response=response))))
+    assert [len(i.model.block_triangle_start) - 1 for i in instances] == [108, 2]
+    found = rejected = away = 0
+    for trial in range(60):
+        pose = random_pose(rng)
+        pose[:3] += rng.choice([0.0, 0.0, 0.02], 3)
+        left = []
+        for instance in instances:
+            state, model = instance.state, instance.model
+            state.x[:], state.y[:], state.z[:] = model.rest_x, model.rest_y, model.rest_z
+            deformed(instance, np.random.default_rng([seed, trial]))
+            instance.inputs[:] = pose
+            assert initialize(*instance._arguments(), instance.outputs, instance._scratch) == OK
+            begin = model.contact_near_start[:-1]
+            near = [state.near[b : b + n].tolist() for b, n in zip(begin, state.near_count, strict=True)]
+            left.append([near, *(a.tolist() for a in (state.side, state.pairs, state.rejected, instance.outputs))])
+            # Contact k looks at tissue k, so that the place of a side is the number of its triangle.
+            assert np.flatnonzero(state.side).tolist() == [t for triangles in near for t in triangles], (seed, trial)
+        assert left[0] == left[1], (seed, trial)
+        found += sum(state.pairs)
+        rejected += sum(state.rejected)
+        away += sum(state.pairs == 0)
+    assert found > 200
+    assert rejected > 0
+    assert 0 < away < 120
 
 
 def test_cell_classes_add_up_to_the_grid():

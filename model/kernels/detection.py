@@ -3,14 +3,14 @@
 Space is cut in equal cells, here in the body frame of the instrument: the instrument is rigid, so its own occupancy is
 found once, offline, and the hash of a cell is its number in the grid over the instrument's box. Cells of a detection
 are *empty*, *solo* (one object) or *potentially colliding* (both). The cascade: the whole tissue against the
-instrument's box, then each triangle against it (both by the faces that the vertices lie beyond), then the cells, and
-only the potentially colliding ones go to the exact triangle-triangle test. Cost follows the contact region but for the
-first pass, one change of frame for every vertex.
+instrument's box, then blocks of its triangles, then each triangle (all by the faces that the vertices lie beyond), then
+the cells, and only the potentially colliding ones go to the exact triangle-triangle test. Cost follows the contact
+region but for the first two: a change of frame for every vertex, and a look at it for its block.
 """
 
 from tissue_contact.kernels.collision import facing, pair_point, shaft
 from tissue_contact.kernels.compiled import inner
-from tissue_contact.kernels.occupancy import locate
+from tissue_contact.kernels.occupancy import find_candidates, locate
 from tissue_contact.kernels.side import REJECTED, latch
 from tissue_contact.kernels.tritri import INTERSECT, intersect
 from tissue_contact.kernels.vectors import cross, dot
@@ -147,16 +147,16 @@ def detect(model, state, scratch, contact, r, p):
         scratch.local_z,
         scratch.outcode,
     )
-    capacity = model.contact_touch_start[contact + 1] - model.contact_touch_start[contact]
-    sides = model.contact_side_start[contact]
-    first, last = model.tissue_triangle_start[tissue], model.tissue_triangle_start[tissue + 1]
-    if common != 0 and state.pairs[contact] == 0 and state.rejected[contact] == 0:
+    if common != 0 and state.near_count[contact] == 0:
         return OK  # nothing touches and nothing is latched
+    capacity = model.contact_touch_start[contact + 1] - model.contact_touch_start[contact]
+    origin, sides = model.tissue_triangle_start[tissue], model.contact_side_start[contact]
+    begin = model.contact_near_start[contact]
+    candidates = find_candidates(model, state, scratch, contact)
     state.pairs[contact] = 0
     state.rejected[contact] = 0
+    state.near_count[contact] = 0
     if common != 0:
-        for k in range(sides, sides + last - first):
-            state.side[k] = 0
         return OK
     for k in range(model.body_triangle_start[i], model.body_triangle_start[i + 1]):
         scratch.stamp[k] = 0
@@ -164,19 +164,18 @@ def detect(model, state, scratch, contact, r, p):
         scratch.cell_stamp[k] = 0
     scratch.cells[SOLO] = 0
     scratch.cells[POTENTIAL] = 0
-    count = 0
-    outcode = scratch.outcode
-    for t in range(first, last):
-        side = sides + t - first
-        if outcode[model.triangle_a[t]] & outcode[model.triangle_b[t]] & outcode[model.triangle_c[t]] != 0:
-            state.side[side] = 0
-            continue
+    count, latched = 0, 0
+    for candidate in range(candidates):
+        t = scratch.candidate[candidate]
+        side = sides + t - origin
         t1, t2, t3 = _corners(model, scratch, t)
         n = _hits(model, scratch, i, t, t1, t2, t3)
         if n == 0:
             state.side[side] = 0
             continue
         state.side[side] = _latch(model, scratch, state.side[side], n, t1, t2, t3)
+        state.near[begin + latched] = t
+        latched += 1
         if state.side[side] == REJECTED:
             state.rejected[contact] += n
             continue
@@ -189,6 +188,7 @@ def detect(model, state, scratch, contact, r, p):
             scratch.pair_instrument[count + k] = scratch.hit[k]
         count += n
     state.pairs[contact] = count
+    state.near_count[contact] = latched
     occupied = model.grid_occupied[i]
     scratch.cells[EMPTY] = nx * ny * nz - scratch.cells[SOLO] - occupied
     scratch.cells[SOLO] += occupied - scratch.cells[POTENTIAL]

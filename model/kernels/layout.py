@@ -20,10 +20,10 @@ Index = npt.NDArray[np.uint32]
 class Model(NamedTuple):
     """Everything that never changes after assembly: topology, rest shape, rigid bodies.
 
-    Counts: V tissue vertices, S springs, T tissue triangles, N tissue points, n tissues; B bodies, that is I
-    instruments and then the rigid bodies that do not move, P parts of bodies, W body vertices, U body triangles, M
-    sample points; K contacts; G holds (a grasper and a tissue), J graspers; Q probes; F rows and N entries below
-    the diagonal of the factor of projective dynamics, of `elimination`. Tissues, and bodies, lie one
+    Counts: V tissue vertices, S springs, T tissue triangles, D blocks of them, N tissue points, n tissues; B bodies,
+    that is I instruments and then the rigid bodies that do not move, P parts of bodies, W body vertices, U body
+    triangles, M sample points; K contacts; G holds (a grasper and a tissue), J graspers; Q probes; F rows and N entries
+    below the diagonal of the factor of projective dynamics, of `elimination`. Tissues, and bodies, lie one
     after the other; ``*_start`` gives where each begins, with one entry more than there are. A triangle's corners are
     indices into all tissue (or all body) vertices. What no contact or effect of the scene asks for is empty.
     """
@@ -32,6 +32,11 @@ class Model(NamedTuple):
     tissue_vertex_start: Index  # shape [n + 1]
     tissue_spring_start: Index  # shape [n + 1]
     tissue_triangle_start: Index  # shape [n + 1]
+    tissue_block_start: Index  # shape [n + 1]
+    block_triangle_start: Index  # shape [D + 1], where the triangles of a block begin in block_triangle
+    block_triangle: Index  # shape [T of tissues in contact], each once
+    block_vertex_start: Index  # shape [D + 1], where the vertices of a block begin in block_vertex
+    block_vertex: Index  # corners of the triangles of each block, once in a block, ascending
     spring_i: Index  # shape [S], first vertex
     spring_j: Index  # shape [S], second vertex
     triangle_a: Index  # shape [T]
@@ -170,7 +175,7 @@ class State(NamedTuple):
     touch_part: Index  # shape [H], part of the body
     touch_support: Index  # shape [H], vertex of polytope or body that was deepest at the last look
     near_count: Index  # shape [K]
-    near: Index  # shape [R], triangles, or points of a body, near a field
+    near: Index  # shape [R], triangles, or points of a body, near a field; of other responses, triangles with a side
     closed: Index  # shape [G], 1: the jaws are closed
     held: Index  # shape [G], anchors
     anchor_vertex: Index  # shape [A]
@@ -218,6 +223,8 @@ class Scratch(NamedTuple):
     """
 
     outcode: Index  # shape [V], which faces of the body's box a vertex lies beyond, a bit a face
+    marks: Index  # shape [T / 32, rounded up], triangles of a tissue that may touch, a bit each
+    candidate: Index  # shape [T], the same, listed
     stamp: Index  # shape [U], 1 + the last tissue triangle that met a body triangle
     cell_stamp: Index  # shape [C], 1 where a tissue triangle was met in a cell
     cells: Index  # shape [3], empty, solo and potentially colliding cells of the last detection

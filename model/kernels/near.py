@@ -9,7 +9,7 @@ import math
 from tissue_contact.kernels.collision import facing, shaft
 from tissue_contact.kernels.compiled import inner, pointwise
 from tissue_contact.kernels.field import FAR, GRID, fields_of, part_distance
-from tissue_contact.kernels.occupancy import locate
+from tissue_contact.kernels.occupancy import find_candidates, locate
 from tissue_contact.kernels.side import FACING, REJECTED, latch
 from tissue_contact.kernels.vectors import cross, dot, to_body, to_world
 
@@ -95,21 +95,18 @@ def find_near_triangles(model, state, scratch, contact, r, p):
         scratch.local_z,
         scratch.outcode,
     )
-    first, last = model.tissue_triangle_start[tissue], model.tissue_triangle_start[tissue + 1]
-    sides = model.contact_side_start[contact]
     if common != 0 and state.near_count[contact] == 0:
         return  # nothing is near and nothing is latched
+    origin, sides = model.tissue_triangle_start[tissue], model.contact_side_start[contact]
     begin = model.contact_near_start[contact]
     first_part, last_part = model.body_part_start[body], model.body_part_start[body + 1]
     axis_part, axis = first_part, shaft(model.part_axis, first_part)
     n, rejected = 0, 0
-    x, y, z, outcode = scratch.local_x, scratch.local_y, scratch.local_z, scratch.outcode
-    for t in range(first, last):
-        side = sides + t - first
+    x, y, z = scratch.local_x, scratch.local_y, scratch.local_z
+    for k in range(find_candidates(model, state, scratch, contact)):
+        t = scratch.candidate[k]
+        side = sides + t - origin
         a, b, c = model.triangle_a[t], model.triangle_b[t], model.triangle_c[t]
-        if outcode[a] & outcode[b] & outcode[c] != 0:
-            state.side[side] = 0
-            continue
         middle, u, v, w, radius = middle_of((x[a], y[a], z[a]), (x[b], y[b], z[b]), (x[c], y[c], z[c]))
         distance = gap_to(model, first_part, last_part, middle)
         if not distance < radius + margin:
