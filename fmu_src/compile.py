@@ -184,7 +184,7 @@ def simplify(ir: str, function: str, exported: str) -> str:
         The code needs a symbol that a plain C library does not have; the message names it.
     """
     machine = _machine("x86_64-unknown-linux-gnu", "x86-64")
-    # numba marks every kernel noinline; as one function the constants of a slice reach the loops.
+    # numba marks its counting of references noinline; within a kernel it is seen to be of no use.
     module = llvm.parse_assembly(re.sub(r"\bnoinline\b", "alwaysinline", ir))
     for part in [*module.functions, *module.global_variables]:
         if part.is_declaration:
