@@ -23,7 +23,7 @@ DOCS = Path(__file__).parent
 PAGE, DATA, FIGURE = DOCS / "presets.md", DOCS / "data" / "presets.json", DOCS / "images" / "presets.png"
 MEASURED = DOCS.parent / "build" / "presets.json"
 SHOWN = ("force", "peak", "impulse", "depth")
-MARKS = dict(zip((c.words for c in CANDIDATES), "v^<>Ds", strict=True))
+MARKS = dict(zip((c.words for c in CANDIDATES), "vD^<>s", strict=True))
 
 Found = Mapping[str, Any]
 
@@ -136,7 +136,8 @@ def figure(data: Found) -> bytes:
     FigureCanvasAgg(drawn)
     axes = drawn.subplots()
     for name, about in data["scenarios"].items():
-        done = {words: run for words, run in about["runs"].items() if not run["refusal"] and run["error"].get("force")}
+        runs = {words: about["runs"][words] for words in MARKS if words in about["runs"]}
+        done = {words: run for words, run in runs.items() if not run["refusal"] and run["error"].get("force")}
         line = [(run["us"], 100 * run["error"]["force"]) for run in done.values()]
         if len(line) < 2:
             continue  # every preset is the same there
