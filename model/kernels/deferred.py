@@ -43,8 +43,9 @@ class _Deferring(Compiler):
 
     def define_pipelines(self) -> Any:
         state = self.state
-        state.library = _Deferred(state.targetctx.codegen(), state.func_id.func_qualname)
-        state.library.enable_object_caching()
+        code = _Deferred(state.targetctx.codegen(), state.func_id.func_qualname)
+        code.enable_object_caching()
+        state["library"] = code
         return super().define_pipelines()
 
 
