@@ -343,9 +343,7 @@ def _statuses(m: Map) -> dict[str, int]:
 
 
 def _sharpness(m: Map) -> dict[str, float | None]:
-    """How near the line of theory the measured border lies; nothing of a scheme that has none."""
-    if not m.shares_of(*VERDICTS).any():  # of a limit that is infinite
-        return dict.fromkeys(("not done below the line", "least share not done", "greatest share done"))
+    """How near the line of theory the measured border lies."""
     bad, good = m.shares_of(UNSTABLE, REFUSED), m.shares_of(STABLE, MARGINAL, GAINING)
     return {
         "not done below the line": int((bad < 1.0).sum()),
@@ -379,7 +377,7 @@ def _sentences(maps: Sequence[Map], units: Mapping[str, str]) -> list[str]:
     for m in maps:
         total = sum(len(row) for row in m.cells)
         sharp = _sharpness(m)
-        if not m.automatic and sharp["not done below the line"] is None:
+        if not m.automatic and not m.shares_of(*VERDICTS).size:
             text = f"{m.integrator}, one substep a step: no limit; {m.count(UNSTABLE)} of {total} cells are unstable"
         elif not m.automatic:
             below, least = sharp["not done below the line"], sharp["least share not done"]

@@ -14,6 +14,7 @@ from tissue_contact.kernels.slots import (
     TISSUE_PARAMETERS,
 )
 from tissue_contact.kernels.springs import damp_product, directions
+from tissue_contact.kernels.start import keep_start
 
 
 @inner
@@ -101,9 +102,7 @@ def runge_kutta(model, parameters, state, scratch, elapsed, dt):
     """
     n = state.x.size
     start, slope = scratch.start, scratch.slope
-    for v in range(n):
-        start[v], start[n + v], start[2 * n + v] = state.x[v], state.y[v], state.z[v]
-        start[3 * n + v], start[4 * n + v], start[5 * n + v] = state.vx[v], state.vy[v], state.vz[v]
+    keep_start(state, scratch)
     for k in range(slope.size):
         slope[k] = 0.0
     node, weight, way = (0.0, 0.5, 0.5, 1.0), (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0), (0.5, 0.5, 1.0, 0.0)

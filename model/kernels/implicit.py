@@ -21,6 +21,7 @@ from tissue_contact.kernels.slots import (
     VOLUME_STIFFNESS,
 )
 from tissue_contact.kernels.springs import damp_product
+from tissue_contact.kernels.start import keep_start, place
 from tissue_contact.kernels.vectors import cross, dot
 
 NEWTON = 12  # iterations at most
@@ -182,10 +183,7 @@ def _residual(model, parameters, state, scratch, elapsed, dt, n, r):
     Moves the state to x0 + dt v, with x0 and v0 from scratch.start.
     """
     start = scratch.start
-    for v in range(n):
-        state.x[v] = start[v] + dt * state.vx[v]
-        state.y[v] = start[n + v] + dt * state.vy[v]
-        state.z[v] = start[2 * n + v] + dt * state.vz[v]
+    place(state, scratch, dt)
     tissue_forces(model, parameters, state, scratch)
     clear_contacts(state, scratch)
     contact_forces(model, parameters, state, scratch, elapsed + dt, dt, False)
@@ -299,10 +297,8 @@ def _solve(model, parameters, state, scratch, dt, n, r, d):
 def implicit_euler(model, parameters, state, scratch, elapsed, dt):
     """One substep, from elapsed [s] after the last communication point; what the bodies feel is that of its end."""
     n = state.x.size
-    start, r, d = scratch.start, scratch.solve[: 3 * n], scratch.slope
-    for v in range(n):
-        start[v], start[n + v], start[2 * n + v] = state.x[v], state.y[v], state.z[v]
-        start[3 * n + v], start[4 * n + v], start[5 * n + v] = state.vx[v], state.vy[v], state.vz[v]
+    r, d = scratch.solve[: 3 * n], scratch.slope
+    keep_start(state, scratch)
     work, dissipated = state.work[0], state.dissipated[0]
     square = _residual(model, parameters, state, scratch, elapsed, dt, n, r)
     target = max(FLOOR, RESIDUAL * RESIDUAL * square)

@@ -36,26 +36,10 @@ from tissue_contact.kernels.slots import (
     TISSUE_PARAMETERS,
 )
 from tissue_contact.kernels.springs import damp_product, directions
+from tissue_contact.kernels.start import keep_start, place
 
 FAINT = 1e-9  # of a row's diagonal in A, below which the stiffness of a contact is left out
 SETTLED = 1e-6  # of the right side, weighted by H: far less than an iteration leaves out of the springs
-
-
-@inner
-def _keep(values, out, first):
-    """Copy values to the places from first on; one array at a time is copied in vectors."""
-    for v in range(values.size):
-        out[first + v] = values[v]
-
-
-@inner
-def _place(state, scratch, dt, n):
-    """x = x0 + dt v, with x0 from scratch.start."""
-    start = scratch.start
-    for v in range(n):
-        state.x[v] = start[v] + dt * state.vx[v]
-        state.y[v] = start[n + v] + dt * state.vy[v]
-        state.z[v] = start[2 * n + v] + dt * state.vz[v]
 
 
 @inner
@@ -81,7 +65,7 @@ def _damp(model, parameters, state, scratch, tissue, n):
 @inner
 def _residual(model, parameters, state, scratch, elapsed, dt, n):
     """M (v0 - v) + dt f(x0 + dt v, v) of every row into scratch.right [N·s]."""
-    _place(state, scratch, dt, n)
+    place(state, scratch, dt)
     tissue_forces(model, parameters, state, scratch)
     clear_contacts(state, scratch)
     contact_forces(model, parameters, state, scratch, elapsed + dt, dt, False)
@@ -379,14 +363,9 @@ def _pressed(scratch):
 @inner
 def projective_dynamics(model, parameters, state, scratch, elapsed, dt):
     """One substep, from elapsed [s] after the last communication point; what the bodies feel is that of its end."""
-    n, start, right = state.x.size, scratch.start, scratch.right
+    n, right = state.x.size, scratch.right
     ready(model, parameters, scratch, dt)
-    _keep(state.x, start, 0)
-    _keep(state.y, start, n)
-    _keep(state.z, start, 2 * n)
-    _keep(state.vx, start, 3 * n)
-    _keep(state.vy, start, 4 * n)
-    _keep(state.vz, start, 5 * n)
+    keep_start(state, scratch)
     work, dissipated = state.work[0], state.dissipated[0]
     for _ in range(model.iterations[0]):
         _residual(model, parameters, state, scratch, elapsed, dt, n)
@@ -403,7 +382,7 @@ def projective_dynamics(model, parameters, state, scratch, elapsed, dt):
             state.vz[v] += right[o + 2]
         if model.tolerance[0] > 0.0 and changed <= model.tolerance[0] * dt * _pressed(scratch):
             break
-    _place(state, scratch, dt, n)
+    place(state, scratch, dt)
     clear_contacts(state, scratch)
     contact_forces(model, parameters, state, scratch, elapsed + dt, dt, False)
     for tissue in range(model.tissue_rate.size):

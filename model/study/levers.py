@@ -159,8 +159,8 @@ def _integration(scene: Scene, known: Grounds) -> Choices:
     }
     schemes |= {_named(settings): {"substeps": 0, **settings.keys} for settings in PROJECTIVE}
     # what has no meaning for any other
-    own = ("iterations", "tolerance") if scene.solver.integrator == "projective_dynamics" else ()
-    without: dict[str, Any] = dict.fromkeys(own)
+    projective = scene.solver.integrator == "projective_dynamics"
+    without: dict[str, Any] = dict.fromkeys(("iterations", "tolerance")) if projective else {}
     return {label: [Edit(("solver", k), v) for k, v in (without | keys).items()] for label, keys in schemes.items()}
 
 

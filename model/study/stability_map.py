@@ -261,7 +261,7 @@ class Map:
             s
             for row, shares in zip(self.cells, self.share, strict=True)
             for cell, s in zip(row, shares, strict=True)
-            if cell.verdict in verdicts and np.isfinite(s)
+            if cell.verdict in verdicts and np.isfinite(s) and np.isfinite(cell.limit)
         ]
         return np.array(found)
 
