@@ -5,6 +5,8 @@ What each of them costs and errs by is measured by `make presets`; docs/presets.
 
 from typing import Any, Literal, NamedTuple
 
+OF_PROJECTIVE = ("iterations", "tolerance")  # keys of the table `solver` without a meaning for other integrators
+
 PresetName = Literal["fast", "balanced", "accurate"]
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, PrivateAttr, Tag, model_validator
 
-from tissue_contact.presets import BEYOND_SPRINGS, PRESETS, PresetName
+from tissue_contact.presets import BEYOND_SPRINGS, OF_PROJECTIVE, PRESETS, PresetName
 from tissue_contact.settings import (
     Settings,
     broken,
@@ -507,7 +507,7 @@ class Scene(Settings):
             fits = "integrator" not in given or solver.integrator == chosen.integrator
             missing = {key: value for key, value in chosen.keys.items() if fits and key not in given}
             self.__dict__["solver"] = solver.model_copy(update=missing)
-        for key in ("iterations", "tolerance"):
+        for key in OF_PROJECTIVE:
             if key in given and self.solver.integrator != "projective_dynamics":
                 rule = f"{key} has no meaning for integrator {self.solver.integrator}"
                 way_out = "Remove it" if self._remarks else "Remove it, or take projective_dynamics"

@@ -19,7 +19,7 @@ from tissue_contact.assemble import assemble
 from tissue_contact.files import publish
 from tissue_contact.fmu.compile import shared_library
 from tissue_contact.pool import Kept, Spread, pool
-from tissue_contact.presets import BEYOND_SPRINGS, PRESETS, Preset
+from tissue_contact.presets import BEYOND_SPRINGS, OF_PROJECTIVE, PRESETS, Preset
 from tissue_contact.scenarios import bench
 from tissue_contact.scenarios.run import communication_points
 from tissue_contact.scenarios.scenario import read_scenario, shipped_names
@@ -95,7 +95,7 @@ def cases(folder: Path, say: Say) -> list[Case]:
 
 def references(case: Case) -> list[Job]:
     """Symplectic Euler with short substeps, then with the shortest; then, where it can be had, on a finer mesh."""
-    own = {"iterations": None, "tolerance": None}
+    own = dict.fromkeys(OF_PROJECTIVE)
     exact = {"integrator": "symplectic_euler", **own, "substeps": 0, "max_substeps": 100_000}
     found = [case.edited(exact | {"safety": safety}) for safety in SAFETIES]
     if not levers.meshes_left(case.scene):

@@ -14,7 +14,7 @@ from tissue_contact.bodies import spacing_of
 from tissue_contact.errors import InputError
 from tissue_contact.fields import CUTS_MAX, longest_edges
 from tissue_contact.geometry import FloatArray
-from tissue_contact.presets import PRESETS, Preset
+from tissue_contact.presets import OF_PROJECTIVE, PRESETS, Preset
 from tissue_contact.scene import Contact, Instrument, Rigid, Scene, Tissue, parse_scene
 from tissue_contact.settings import check_word, setting
 from tissue_contact.surfaces import surface_of
@@ -160,7 +160,7 @@ def _integration(scene: Scene, known: Grounds) -> Choices:
     schemes |= {_named(settings): {"substeps": 0, **settings.keys} for settings in PROJECTIVE}
     # what has no meaning for any other
     projective = scene.solver.integrator == "projective_dynamics"
-    without: dict[str, Any] = dict.fromkeys(("iterations", "tolerance")) if projective else {}
+    without: dict[str, Any] = dict.fromkeys(OF_PROJECTIVE) if projective else {}
     return {label: [Edit(("solver", k), v) for k, v in (without | keys).items()] for label, keys in schemes.items()}
 
 
@@ -329,8 +329,7 @@ def reference(scene: Scene, known: Grounds, factor: float) -> list[Edit]:
     edits = _finer(scene, factor)
     keys = {
         "integrator": "symplectic_euler",
-        "iterations": None,
-        "tolerance": None,
+        **dict.fromkeys(OF_PROJECTIVE),
         "substeps": 0,
         "safety": _digits(solver.safety / finer) if meshes_left(scene) else solver.safety,
         "max_substeps": 100_000,
