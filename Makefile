@@ -107,7 +107,7 @@ $(PEERS)/installed: requirements-peers.lock $(call unusable_or_nothing,$(PEERS))
 
 $(STAMP) $(PEERS)/installed: pyproject.toml
 	$(if $(filter unusable,$^),$(NEW_ENVIRONMENT))
-	$(@D)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r $(filter %.lock,$^)
+	$(@D)/bin/python -m pip install --quiet --no-compile --disable-pip-version-check --require-hashes -r $(filter %.lock,$^)
 	@# setuptools warns of every editable installation
 	PYTHONWARNINGS=ignore $(@D)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@

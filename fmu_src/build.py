@@ -56,7 +56,6 @@ def build(
     progress = on_progress or (lambda _: None)
     if not platforms:
         raise InputError("platforms", "must name at least one platform", "none", f"Choose from {', '.join(ALL)}")
-    targets = [compile.target(platform) for platform in platforms]
     output = Path(output)
     if not output.parent.is_dir():
         raise InputError("output", "must lie in an existing directory", output, "Make the directory first")
@@ -71,9 +70,8 @@ def build(
     }
     if picture is not None:
         entries["model.png"] = picture
-    for target in targets:
-        content = compile.shared_library(target.platform, kernels, progress)
-        entries[f"binaries/{target.platform}/{identifier}{target.suffix}"] = content
+    for platform, content in compile.shared_libraries(platforms, kernels, progress).items():
+        entries[f"binaries/{platform}/{identifier}{compile.target(platform).suffix}"] = content
     progress(f"writing {output}")
     archive.write(output, entries)
     return output

@@ -13,16 +13,16 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
 import fmpy
-import llvmlite.binding as llvm
 
 import tissue_contact.kernels
 from tissue_contact import cache, status
 from tissue_contact.errors import InputError, WorkError
-from tissue_contact.fmu import entry, model_bin
+from tissue_contact.fmu import entry, machine_code, model_bin
 
 C_FILES = Path(__file__).parent / "c"
 LIBRARY_SOURCES = ("absent", "calls", "instance", "kernel", "log", "path", "scene", "state", "step", "values")
@@ -71,15 +71,6 @@ TARGETS = {
 
 ALL = tuple(TARGETS)
 
-# What a compiled kernel may take from the C library of the target; anything else would need Python at run
-# time.
-ALLOWED_SYMBOLS = frozenset(
-    ("memset", "memcpy", "memmove")
-    + ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh")
-    + ("sqrt", "cbrt", "hypot", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "pow", "fmod")
-    + ("floor", "ceil", "trunc", "round", "rint", "fabs", "fmin", "fmax", "copysign", "ldexp", "frexp")
-)
-
 Progress = Callable[[str], None]
 
 
@@ -90,7 +81,7 @@ def _versions(*packages: str) -> list[str]:
 def kernels_hash(kernels: Path) -> str:
     """Hash of all that decides the IR of the kernels. Every Python file beside ``kernels`` counts, and the layout's."""
     beside, layout = kernels.parent.glob("*.py"), STEP_KERNELS.parent.glob("*.py")
-    sources = {*beside, *layout, Path(entry.__file__), Path(__file__)}
+    sources = {*beside, *layout, *(Path(m.__file__) for m in (entry, machine_code)), Path(__file__)}
     return cache.digest(sources, kernels.name, entry.source(), *_versions("numba", "llvmlite", "numpy"))
 
 
@@ -157,69 +148,6 @@ def publish(path: Path, content: bytes) -> None:
             raise
 
 
-def _optimise(module: llvm.ModuleRef, machine: llvm.TargetMachine, vectorise: bool) -> None:
-    tuning = llvm.create_pipeline_tuning_options(speed_level=3)
-    tuning.loop_vectorization = tuning.slp_vectorization = tuning.loop_unrolling = vectorise
-    builder = llvm.create_pass_builder(machine, tuning)
-    passes = builder.getModulePassManager()
-    passes.add_refprune_pass()
-    passes.run(module, builder)
-
-
-def _machine(triple: str, cpu: str) -> llvm.TargetMachine:
-    llvm.initialize_all_targets()
-    llvm.initialize_all_asmprinters()
-    target = llvm.Target.from_triple(triple)
-    return target.create_target_machine(cpu=cpu, opt=3, reloc="pic", codemodel="default")
-
-
-def simplify(ir: str, function: str, exported: str) -> str:
-    """Reduce numba's IR to the one function ``exported``: all inlined, no reference counts, any processor.
-
-    It is 98 % of the work of optimisation and done once for all processors.
-
-    Raises
-    ------
-    WorkError
-        The code needs a symbol that a plain C library does not have; the message names it.
-    """
-    machine = _machine("x86_64-unknown-linux-gnu", "x86-64")
-    # numba marks its counting of references noinline; within a kernel it is seen to be of no use.
-    module = llvm.parse_assembly(re.sub(r"\bnoinline\b", "alwaysinline", ir))
-    for part in [*module.functions, *module.global_variables]:
-        if part.is_declaration:
-            continue
-        if part.name == function:
-            part.name, part.linkage, part.visibility = exported, "external", "hidden"
-        else:
-            part.linkage = "internal"
-    for _ in range(2):  # what the first leaves of the reference counts, the second removes
-        _optimise(module, machine, vectorise=False)
-    needed = {
-        part.name
-        for part in [*module.functions, *module.global_variables]
-        if part.is_declaration and not part.name.startswith("llvm.")
-    }
-    foreign = sorted(needed - ALLOWED_SYMBOLS)
-    if foreign:
-        raise WorkError(
-            f"{exported} needs {', '.join(foreign)}, which no C library has: a kernel allocates, prints, "
-            "reshapes, or assigns one array to another. Kernels may only do arithmetic on the numbers of the "
-            "arrays they are given"
-        )
-    return str(module)
-
-
-def assembly(ir: str, exported: str, level: str, machine: Machine) -> str:
-    """Assembly of simplified IR for one level of a machine; the function is called ``{exported}_{level}``."""
-    target_machine = _machine(machine.triple, machine.levels[level])
-    module = llvm.parse_assembly(ir)
-    module.triple, module.data_layout = machine.triple, str(target_machine.target_data)
-    module.get_function(exported).name = f"{exported}_{level}"
-    _optimise(module, target_machine, vectorise=True)
-    return target_machine.emit_assembly(module)
-
-
 def reason(trace: str) -> str:
     """What went wrong, and in which line of the source, out of a traceback of Python or numba."""
     lines = [line.rstrip() for line in re.sub(r"\x1b\[\d*m", "", trace).splitlines() if line.strip()]
@@ -258,7 +186,7 @@ def kernels_ir(kernels: Path, progress: Progress) -> dict[str, str]:
                 raise WorkError(f"the kernels do not compile ahead of time: {reason(run.stderr)}")
             functions = json.loads((directory / "names.json").read_text("utf-8"))
             made = {
-                exported: simplify((directory / f"{exported}.ll").read_text("utf-8"), function, exported)
+                exported: machine_code.simplify((directory / f"{exported}.ll").read_text("utf-8"), function, exported)
                 for exported, function in functions.items()
             }
         publish(kept, json.dumps(made).encode())
@@ -281,6 +209,25 @@ def zig(arguments: Sequence[str], directory: Path) -> None:
 
 
 C_FLAGS = ("-std=c11", "-O2", "-g0", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-ffp-contract=off")
+UNUSED = "-Wno-unused-command-line-argument"
+_OF_WINDOWS = ("kernel32", *(f"api-ms-win-crt-{part}-l1-1-0"
+                             for part in ("heap", "math", "private", "runtime", "stdio", "string")))  # fmt: skip
+
+
+def link(target: str, flags: Sequence[str], inputs: Sequence[str], output: str, directory: Path) -> bytes:
+    """What zig makes of C files and assembly in a directory, for one of its targets.
+
+    Of mingw's runtime only the headers are taken: zig would build all of it, file by file.
+    """
+    how = ["-target", target, *flags]
+    if "windows" in target:
+        files = [*inputs, *copy_sources(["windows"], directory)]
+        for file in files:
+            zig([*how, "-c", file, "-o", f"{file}.obj"], directory)
+        inputs = [f"{file}.obj" for file in files]
+        how += ["-nostdlib", "-lcompiler_rt", *(f"-l{library}" for library in _OF_WINDOWS)]
+    zig([*how, *inputs, "-o", output], directory)
+    return (directory / output).read_bytes()
 
 
 def copy_sources(names: Sequence[str], directory: Path) -> list[str]:
@@ -293,24 +240,28 @@ def copy_sources(names: Sequence[str], directory: Path) -> list[str]:
     return [f"{name}.c" for name in names]
 
 
-def _link(machine: Machine, suffix: str, ir: dict[str, str]) -> bytes:
-    with tempfile.TemporaryDirectory() as name:
-        directory = Path(name)
-        (directory / "layout.h").write_text(header(), "utf-8")
-        inputs = copy_sources(LIBRARY_SOURCES, directory)
-        for level in machine.levels:
-            for exported, text in ir.items():
-                inputs.append(f"{exported}_{level}.s")
-                (directory / inputs[-1]).write_text(assembly(text, exported, level, machine), "utf-8")
-        flags = [*C_FLAGS, "-isystem", "fmi", "-fvisibility=hidden", "-shared", "-s"]
-        flags.append("-Wno-unused-command-line-argument")  # assembly files use only some of them
-        if suffix == ".so":
-            flags += ["-fPIC", "-Wl,-z,defs", "-lm"]
-        if suffix == ".dylib":
-            flags += ["-Wl,-install_name,@rpath/tissue_contact.dylib"]
-        output = f"tissue_contact{suffix}"
-        zig(["-target", machine.zig, *flags, *inputs, "-o", output], directory)
-        return (directory / output).read_bytes()
+def _assemble(ir: Path, machine: Machine, level: str, directory: Path) -> None:
+    """Write the assembly of one entry, for one level of a machine, into a directory."""
+    name = f"{ir.stem}_{level}"
+    how = [str(directory / f"{name}.s"), ir.stem, name, machine.triple, machine.levels[level]]
+    command = [sys.executable, "-m", machine_code.__name__, str(ir), *how]
+    run = subprocess.run(command, capture_output=True, text=True)
+    if run.returncode != 0:
+        raise WorkError(f"no machine code of {name} for {machine.triple}: {reason(run.stderr)}")
+
+
+def _link(machine: Machine, suffix: str, directory: Path) -> bytes:
+    """The library made of the C files and of all assembly in a directory."""
+    inputs = [path.name for path in sorted(directory.glob("*.s"))]
+    (directory / "layout.h").write_text(header(), "utf-8")
+    inputs = [*copy_sources(LIBRARY_SOURCES, directory), *inputs]
+    flags = [*C_FLAGS, "-isystem", "fmi", "-fvisibility=hidden", "-shared", "-s"]
+    flags.append(UNUSED)  # assembly files use only some of them
+    if suffix == ".so":
+        flags += ["-fPIC", "-Wl,-z,defs", "-lm"]
+    if suffix == ".dylib":
+        flags += ["-Wl,-install_name,@rpath/tissue_contact.dylib"]
+    return link(machine.zig, flags, inputs, f"tissue_contact{suffix}", directory)
 
 
 # Mach-O processor type -> alignment of its slice as a power of two.
@@ -338,8 +289,10 @@ def target(platform: str) -> Target:
     return TARGETS[platform]
 
 
-def shared_library(platform: str, kernels: Path = STEP_KERNELS, progress: Progress = lambda _: None) -> bytes:
-    """Shared library of a platform, from the cache or compiled now.
+def shared_libraries(
+    platforms: Sequence[str], kernels: Path = STEP_KERNELS, progress: Progress = lambda _: None
+) -> dict[str, bytes]:
+    """Shared library of each platform, from the cache or compiled now, side by side on all cores.
 
     ``kernels`` is the Python file that holds ``initialize`` and ``step``.
 
@@ -350,11 +303,36 @@ def shared_library(platform: str, kernels: Path = STEP_KERNELS, progress: Progre
     WorkError
         A kernel or a C file does not compile or link.
     """
-    chosen = target(platform)
-    kept = cache.folder() / f"{platform}-{library_hash(kernels)}{chosen.suffix}"
-    if not kept.exists():
-        ir = kernels_ir(kernels, progress)
-        progress(f"compiling for {platform}")
-        slices = [_link(machine, chosen.suffix, ir) for machine in chosen.machines]
-        publish(kept, slices[0] if len(slices) == 1 else universal(slices))
-    return kept.read_bytes()
+    kept = {t.platform: cache.folder() / f"{t.platform}-{library_hash(kernels)}{t.suffix}"
+            for t in map(target, platforms)}  # fmt: skip
+    missing = {platform: path for platform, path in kept.items() if not path.exists()}
+    if missing:
+        _compile(missing, kernels_ir(kernels, progress), progress)
+    return {platform: path.read_bytes() for platform, path in kept.items()}
+
+
+def _compile(missing: dict[str, Path], ir: dict[str, str], progress: Progress) -> None:
+    """Compile the libraries of some platforms and put each where it is kept."""
+    progress(f"compiling for {', '.join(missing)}")
+    machines = [(machine, TARGETS[platform].suffix) for platform in missing for machine in TARGETS[platform].machines]
+    with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(os.cpu_count()) as pool:
+        sources = [Path(name) / f"{exported}.ll" for exported in ir]
+        for source, text in zip(sources, ir.values(), strict=True):
+            source.write_text(text, "utf-8")
+        directories = [Path(name) / machine.triple for machine, _ in machines]
+        for directory in directories:
+            directory.mkdir()
+        jobs = [(source, machine, level, directory)
+                for source in sorted(sources, key=lambda s: -s.stat().st_size)  # the longest first
+                for (machine, _), directory in zip(machines, directories, strict=True)
+                for level in machine.levels]  # fmt: skip
+        list(pool.map(_assemble, *zip(*jobs, strict=True)))
+        slices = pool.map(_link, *zip(*machines, strict=True), directories)
+        for platform, path in missing.items():
+            parts = [next(slices) for _ in TARGETS[platform].machines]
+            publish(path, parts[0] if len(parts) == 1 else universal(parts))
+
+
+def shared_library(platform: str, kernels: Path = STEP_KERNELS, progress: Progress = lambda _: None) -> bytes:
+    """The same for one platform."""
+    return shared_libraries([platform], kernels, progress)[platform]

@@ -56,18 +56,18 @@ def driver(platform: str, watched: bool = False) -> bytes:
     """The program of ``c/driver.c`` for a platform, with or without ``c/watch.c``, from the cache or compiled now."""
     target = compile.target(platform)
     names = ["driver", "watch"] if watched else ["driver"]
-    sources = [compile.C_FILES / file for file in ("watch.h", *(f"{name}.c" for name in names))]
+    sources = [compile.C_FILES / file for file in ("watch.h", "windows.c", *(f"{name}.c" for name in names))]
     version = cache.digest(sources, importlib.metadata.version("ziglang"))
     kept = cache.folder() / f"driver-{platform}-{version}"
     if not kept.exists():
         with tempfile.TemporaryDirectory() as name:
             directory = Path(name)
-            flags = [*compile.C_FLAGS, "-isystem", "fmi", "-s", "-o", "driver"]
+            flags = [*compile.C_FLAGS, compile.UNUSED, "-isystem", "fmi", "-s"]
             flags += ["-DTC_WATCHED", "-rdynamic"] if watched else []  # the FMU is to find the driver's malloc
-            libraries = ["-ldl"] if target.suffix == ".so" else []
+            flags += {".so": ["-ldl"], ".dll": ["-Wl,--entry=mainCRTStartup"]}.get(target.suffix, [])
             files = compile.copy_sources(names, directory)
-            compile.zig(["-target", target.machines[0].zig, *flags, *files, *libraries], directory)
-            compile.publish(kept, (directory / "driver").read_bytes())
+            made = compile.link(target.machines[0].zig, flags, files, "driver", directory)
+            compile.publish(kept, made)
     return kept.read_bytes()
 
 

@@ -19,7 +19,7 @@ from fmu_fixture import GAIN, KERNELS, PLATFORM, POSITION, PULL, VARIABLES, tiny
 from lxml import etree
 
 from tissue_contact.errors import InputError, WorkError
-from tissue_contact.fmu import archive, compile, description, entry, model_bin
+from tissue_contact.fmu import archive, compile, description, entry, machine_code, model_bin
 from tissue_contact.fmu.build import build
 from tissue_contact.fmu.check import check, fmi_functions
 from tissue_contact.fmu.exports import exported
@@ -262,6 +262,29 @@ def test_c_warning_fails_the_build(tmp_path):
     (tmp_path / "x.c").write_text("int f(void) { int unused; return 0; }", "utf-8")
     with pytest.raises(WorkError, match="unused"):
         compile.zig([*compile.C_FLAGS, "-c", "x.c"], tmp_path)
+
+
+@pytest.mark.parametrize("machine", [m for t in compile.TARGETS.values() for m in t.machines], ids=lambda m: m.triple)
+def test_what_kernels_may_take_is_there_everywhere(tmp_path, machine):
+    taken = sorted(machine_code.ALLOWED_SYMBOLS)
+    lines = [
+        *(f"void {name}(void);" for name in taken),
+        "void *all[] = {",
+        *(f"(void *){name}," for name in taken),
+        "};",
+    ]
+    (tmp_path / "x.c").write_text("\n".join(lines), "utf-8")
+    flags = [
+        "-O2",
+        "-fno-builtin",
+        "-w",
+        "-shared",
+        *(["-fPIC", "-lm", "-Wl,-z,defs"] if "linux" in machine.zig else []),
+    ]
+    assert compile.link(machine.zig, flags, ["x.c"], "x", tmp_path)
+    (tmp_path / "x.c").write_text("\n".join(["void no_such(void);", *lines[:-1], "(void *)no_such };"]), "utf-8")
+    with pytest.raises(WorkError, match="no_such"):
+        compile.link(machine.zig, flags, ["x.c"], "x", tmp_path)
 
 
 def test_platforms(tmp_path):

@@ -10,7 +10,7 @@ from fmu_fixture import tiny_fmu
 from scenes import assembled, index
 
 from tissue_contact.errors import WorkError
-from tissue_contact.fmu import compile, native
+from tissue_contact.fmu import compile, machine_code, native
 from tissue_contact.fmu.build import build
 from tissue_contact.fmu.exports import imported
 
@@ -21,7 +21,7 @@ OFFENCES = ("malloc", "calloc", "realloc", "free", "aligned_alloc", "pthread_mut
 # What a library may take from the C library: for its messages, and to read the scene when it is instantiated.
 MESSAGES = {"snprintf", "vsnprintf", "strlen", "strcmp", "strncmp", "strcpy", "memcmp", "bcmp", "strchr"}
 INSTANTIATION = {"malloc", "calloc", "free", "fopen", "fread", "fseek", "ftell", "fclose", "__ctype_b_loc"}
-MATHEMATICS = compile.ALLOWED_SYMBOLS | {"sincos"}  # a sine and a cosine of one angle
+MATHEMATICS = machine_code.ALLOWED_SYMBOLS | {"sincos"}  # a sine and a cosine of one angle
 RUN_TIME = {"__cxa_finalize", "__gmon_start__", "_ITM_deregisterTMCloneTable", "_ITM_registerTMCloneTable"}
 
 SCENE = """

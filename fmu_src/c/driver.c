@@ -9,7 +9,9 @@
    whether the memory was locked; f64 outputs[rows][n_outputs].
    Row 0 of the inputs is also set in Initialization Mode. With more steps than rows the rows are taken again and again,
    and the outputs are of the last time. Exit code 1, with a message, if anything fails. */
+#ifndef _WIN32
 #define _GNU_SOURCE /* for clock_gettime, RUSAGE_THREAD and sched_setaffinity */
+#endif
 
 #include <stdarg.h>
 #include <stdint.h>
@@ -21,6 +23,7 @@
 #include "watch.h"
 
 #ifdef _WIN32
+#include <corecrt_startup.h>
 #include <windows.h>
 static void *load(const char *path) { return (void *)LoadLibraryA(path); }
 static void *symbol(void *library, const char *name)
@@ -151,7 +154,7 @@ static fmi2ValueReference *read_references(FILE *file, uint64_t count)
         memcpy(&name, &found, sizeof found);                                                                           \
     } while (0)
 
-int main(int argc, char **argv)
+static int run(int argc, char **argv)
 {
     if (argc != 6) {
         fprintf(stderr, "usage: driver LIBRARY RESOURCES GUID JOB RESULT\n");
@@ -245,3 +248,15 @@ int main(int argc, char **argv)
         fail("writing the result");
     return 0;
 }
+
+#ifdef _WIN32
+/* Where Windows begins. mingw's runtime, which would call main from here, is not there (windows.c). */
+void mainCRTStartup(void)
+{
+    if (_configure_narrow_argv(_crt_argv_unexpanded_arguments) != 0)
+        exit(1);
+    exit(run(*__p___argc(), *__p___argv()));
+}
+#else
+int main(int argc, char **argv) { return run(argc, argv); }
+#endif
