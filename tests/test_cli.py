@@ -1,5 +1,7 @@
 """The command: help, exit codes, one line of error, files whole or absent."""
 
+import contextlib
+import io
 import json
 import subprocess
 import sys
@@ -10,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tissue_contact import geometry
+from tissue_contact.cli import app
 from tissue_contact.shapes import ellipsoid
 from tissue_contact.surfaces import stl_bytes
 
@@ -36,6 +39,15 @@ def command(*words: str | Path, cwd: Path | None = None) -> subprocess.Completed
     return subprocess.run(
         [sys.executable, "-c", code, *map(str, words)], capture_output=True, text=True, cwd=cwd, timeout=600
     )
+
+
+def refused(*words: str | Path, cwd: Path) -> str:
+    """What the command says of words that it refuses; in this process, as a new one imports for seconds."""
+    said = io.StringIO()
+    with contextlib.chdir(cwd), contextlib.redirect_stderr(said), pytest.raises(SystemExit) as ended:
+        app([str(word) for word in words])
+    assert ended.value.code == 2, said.getvalue()
+    return one_line(said.getvalue())
 
 
 @pytest.fixture

@@ -225,7 +225,8 @@ def test_a_dask_cluster_gives_the_same_results():
     assert together[0] == fit_laws(some, Options(laws=("kelvin_voigt",)), True, "")[0]
 
 
-def test_a_scheduler_that_does_not_answer_is_told():
+def test_a_scheduler_that_does_not_answer_is_told(monkeypatch):
+    monkeypatch.setattr("tissue_contact.pool.CONNECT_TIMEOUT", 0.5)  # [s]
     with pytest.raises(InputError, match="scheduler must answer"), pool(1, "tcp://127.0.0.1:9"):
         pass
 

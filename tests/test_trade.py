@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scenes import write_mesh
-from test_cli import command, one_line
+from test_cli import refused
 
 from tissue_contact.assemble import assemble
 from tissue_contact.errors import InputError, WorkError
@@ -287,9 +287,8 @@ def test_mesh_paths_are_right_from_where_the_scene_is_written(tmp_path):
         (["tune", "press", "-o", "x.toml", "--error", "nan"], "a positive share"),
     ],
 )
-def test_wrong_words_are_told_in_one_line(words, told):
-    done = command(*words)
-    assert done.returncode == 2 and told in one_line(done.stderr)
+def test_wrong_words_are_told_in_one_line(tmp_path, words, told):
+    assert told in refused(*words, cwd=tmp_path)
 
 
 def test_an_error_is_a_percentage_or_a_share():
