@@ -22,7 +22,7 @@ from tissue_contact.geometry import Surface
 from tissue_contact.kernels.bundle import Bundle
 from tissue_contact.kernels.collision import support
 from tissue_contact.kernels.compiled import kernel
-from tissue_contact.kernels.field import FAR, GRID, NONE, body_distance, fields_of, part_distance
+from tissue_contact.kernels.field import FAR, GRID, NONE, body_distance, fields_of, part_distance, seen_outside
 from tissue_contact.kernels.pressure import out_of_reach, steepness
 from tissue_contact.kernels.sampling import sample
 
@@ -181,6 +181,21 @@ def test_a_body_is_the_union_of_its_parts():
             )
     assert len(set(nearest)) == 1 and len(set(each.argmin(axis=0))) >= 3
     assert body_distance(SEVERAL, np.uint32(2), np.uint32(2), (0.0, 0.0, 0.0)) == (FAR, 0, 0, 0)
+
+
+def test_what_is_seen_outside_lies_outside_and_little_outside_is_not_seen():
+    rng = np.random.default_rng(5)
+    capsules, with_box = (np.uint32(CAPSULE), np.uint32(BOX)), (np.uint32(CAPSULE), np.uint32(ROD))
+    for share in (0.5, 1.0 - 1e-15, 1.0, 1.0 + 1e-16, 1.0 + 2e-15, 1.0 + 1e-12, 2.0):
+        for end in (True, False) * 100:
+            out = A - B if end else np.cross(B - A, rng.normal(size=3))
+            foot = A if end else A + rng.random() * (B - A)
+            p = tuple(foot + share * R * out / np.linalg.norm(out))
+            seen = seen_outside(SEVERAL, *capsules, p)
+            assert not (seen and body_distance(SEVERAL, *capsules, p)[0] < 0.0), (share, p)
+            assert seen == (share > 1.0) or abs(share - 1.0) < 1e-11
+            assert not seen_outside(SEVERAL, *with_box, p)
+    assert not seen_outside(SEVERAL, *capsules, (np.nan,) * 3)
 
 
 def test_no_field_is_far():

@@ -20,6 +20,7 @@ from tissue_contact.kernels.compiled import inner, pointwise
 from tissue_contact.kernels.vectors import dot
 
 NONE, CAPSULE, BOX, CYLINDER, GRID = 0, 1, 2, 3, 4
+SURE = 1.0 + 1e-15  # beyond this times the square of a radius a root is not below the radius, whatever the rounding
 FAR = 1e30  # [m] phi where a part has no field: beyond every depth and gap, its square still finite
 
 
@@ -34,15 +35,21 @@ def _less(a, b):
 
 
 @pointwise
-def _capsule(value, i, p):
-    a, b, r = _three(value, i), _three(value, i + 3), value[i + 6]
+def _from_foot(value, i, p):
+    """A point from its foot on the axis of a capsule."""
+    a, b = _three(value, i), _three(value, i + 3)
     w, d = _less(p, a), _less(b, a)
     dd = dot(d, d)
     f = min(1.0, max(0.0, dot(w, d) / dd)) if dd > 0.0 else 0.0
-    x, y, z = w[0] - f * d[0], w[1] - f * d[1], w[2] - f * d[2]
+    return w[0] - f * d[0], w[1] - f * d[1], w[2] - f * d[2]
+
+
+@pointwise
+def _capsule(value, i, p):
+    x, y, z = _from_foot(value, i, p)
     length = math.sqrt(x * x + y * y + z * z)
     g = 1.0 / length if length > 0.0 else 0.0
-    return length - r, g * x, g * y, g * z
+    return length - value[i + 6], g * x, g * y, g * z
 
 
 @pointwise
@@ -191,3 +198,17 @@ def body_distance(fields, first_part, last_part, p):
         if found[0] < out[0]:
             out = found
     return out
+
+
+@pointwise
+def seen_outside(fields, first_part, last_part, p):
+    """Whether a point is seen to be outside a body without a root; of one that is not, `body_distance` tells."""
+    kinds, start, value, _, _, _ = fields
+    for part in range(first_part, last_part):
+        if kinds[part] != CAPSULE:
+            return False
+        i = start[part]
+        foot, r = _from_foot(value, i, p), value[i + 6]
+        if not dot(foot, foot) > SURE * r * r:
+            return False
+    return True

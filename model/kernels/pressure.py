@@ -15,7 +15,7 @@ from tissue_contact.kernels.contact import (
     press_elastic,
     scatter,
 )
-from tissue_contact.kernels.field import GRID, body_distance, fields_of
+from tissue_contact.kernels.field import GRID, body_distance, fields_of, seen_outside
 from tissue_contact.kernels.near import gap_to, middle_of
 from tissue_contact.kernels.side import REJECTED
 from tissue_contact.kernels.slots import GATHER, GATHER_REGIONS
@@ -72,7 +72,10 @@ def press_tissue(model, parameters, state, scratch, contact, r, p, velocity, spi
         for q in range(first, last):
             wa, wb, wc = model.point_a[q], model.point_b[q], model.point_c[q]
             arm = (wa * ax + wb * bx + wc * cx, wa * ay + wb * by + wc * cy, wa * az + wb * bz + wc * cz)
-            distance, gx, gy, gz = body_distance(fields, first_part, last_part, to_body(r, arm))
+            spot = to_body(r, arm)
+            if seen_outside(fields, first_part, last_part, spot):
+                continue
+            distance, gx, gy, gz = body_distance(fields, first_part, last_part, spot)
             if not distance < 0.0:
                 continue
             direction = to_world(r, (gx, gy, gz))
