@@ -79,8 +79,8 @@ check: build/press.fmu ## check build/press.fmu against the standard
 importers: warm-up ## run the FMU as foreign importers do: win64 under wine, aarch64 under qemu
 	$(BIN)/python -m pytest -n $(WORKERS) -m "wine or qemu" -rs
 
-cross: warm-up ## the same over the whole press scenario only
-	$(BIN)/python -m pytest -m "wine or qemu" -rs tests/test_cross.py
+cross: warm-up ## the whole press scenario on other platforms
+	$(BIN)/python -m pytest -m "wine or qemu" -rs --whole tests/test_cross.py
 
 # Each seed is a scene and calls to it; a failing one is named, and shown by tests/extremes.py --first SEED --show.
 extremes: warm-up ## try 20,000 random scenes at the extremes of every constant; FIRST= and COUNT= pick others

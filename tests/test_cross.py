@@ -1,4 +1,7 @@
-"""The press scenario on every platform that runs here: the same forces as on Linux, the same bits as in Python."""
+"""The press scenario on every platform that runs here: the same forces as on Linux, the same bits as in Python.
+
+All of it with ``--whole``, as an emulator takes a tenth of a second for a step.
+"""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -16,21 +19,22 @@ from tissue_contact.scenarios.scenario import read_scenario
 from tissue_contact.simulate import rollout
 
 AGREEMENT = 1e-9  # of the peak force
+SHORT = 400  # steps: touched, pressed and slid
 
 
 class Press(NamedTuple):
     assembly: Assembly
     fmu: Path
-    inputs: NDArray[np.float64]  # before every step, shape [1000, 7]
+    inputs: NDArray[np.float64]  # before every step, shape [steps, 7]
     step: float
 
     def outputs(self, platform: str) -> NDArray[np.float64]:
-        """After every step of the whole scenario, driven by a native program of the platform."""
+        """After every step, driven by a native program of the platform."""
         return drive(self.fmu, self.inputs, self.step, platform)[0]
 
 
 @pytest.fixture(scope="module")
-def press(tmp_path_factory: pytest.TempPathFactory) -> Press:
+def press(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Press:
     scenario = read_scenario("press")
     assembly = assemble(scenario.scene)
     times, steps = communication_points(scenario.duration, scenario.scene.solver.step)
@@ -40,7 +44,7 @@ def press(tmp_path_factory: pytest.TempPathFactory) -> Press:
     )
     platforms = {host_platform(), *(p for p in ("win64", "aarch64-linux") if runner(p) is not None)}
     fmu = build(assembly, tmp_path_factory.mktemp("press") / "press.fmu", sorted(platforms))
-    return Press(assembly, fmu, inputs, steps[0])
+    return Press(assembly, fmu, inputs if request.config.getoption("--whole") else inputs[:SHORT], steps[0])
 
 
 def forces(press: Press, platform: str) -> NDArray[np.float64]:
