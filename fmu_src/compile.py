@@ -22,6 +22,7 @@ import fmpy
 import tissue_contact.kernels
 from tissue_contact import cache, status
 from tissue_contact.errors import InputError, WorkError
+from tissue_contact.files import publish
 from tissue_contact.fmu import entry, machine_code, model_bin
 
 C_FILES = Path(__file__).parent / "c"
@@ -137,19 +138,6 @@ def header() -> str:
             "",
         ]
     )
-
-
-def publish(path: Path, content: bytes) -> None:
-    """Write a file of the cache so that another process sees all of it or nothing."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-        try:
-            file.write(content)
-            file.close()
-            Path(file.name).replace(path)
-        except BaseException:
-            Path(file.name).unlink(missing_ok=True)
-            raise
 
 
 def reason(trace: str) -> str:

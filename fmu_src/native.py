@@ -19,6 +19,7 @@ from fmpy import read_model_description
 
 from tissue_contact import cache
 from tissue_contact.errors import InputError, WorkError
+from tissue_contact.files import publish
 from tissue_contact.fmu import compile
 from tissue_contact.kernels.layout import Real
 
@@ -67,7 +68,7 @@ def driver(platform: str, watched: bool = False) -> bytes:
             flags += {".so": ["-ldl"], ".dll": ["-Wl,--entry=mainCRTStartup"]}.get(target.suffix, [])
             files = compile.copy_sources(names, directory)
             made = compile.link(target.machines[0].zig, flags, files, "driver", directory)
-            compile.publish(kept, made)
+            publish(kept, made)
     return kept.read_bytes()
 
 
