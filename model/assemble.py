@@ -249,6 +249,7 @@ def _model(scene: Scene, sheets: list[Sheet], bodies: list[Body]) -> Model:
         detection_period=np.array([scene.solver.detection_period]),
         energy_gain=np.array([scene.solver.energy_gain]),
         tolerance=np.array([scene.solver.tolerance]),
+        motion_limit=np.array([scene.solver.motion_limit]),
     )
 
 
@@ -385,6 +386,7 @@ def _scratch(scene: Scene, model: Model, parameters: int) -> Scratch:
     scheme = scene.solver.integrator
     symplectic, implicit = scheme == "symplectic_euler", scheme == "implicit_euler"
     projective, stages = scheme == "projective_dynamics", scheme == "runge_kutta_4"
+    split = symplectic or (projective and scene.solver.motion_limit > 0.0)
     solved = implicit or projective or any(tissue.damping > 0.0 for tissue in scene.tissue)
     # every touch, every point of every tissue for each of its contacts, every anchor, as far as that is not absurd
     points = len(model.point_area) * len(scene.contact) + len(scene.contact) * capacity + int(model.grasp_start[-1])
@@ -400,8 +402,8 @@ def _scratch(scene: Scene, model: Model, parameters: int) -> Scratch:
         "marks": -(-triangles // WORD),
         "candidate": triangles,
         "vertex_share": vertices if capacity else 0,
-        "corner": vertices if symplectic and scene.contact else 0,
-        "damping": 23 * vertices if symplectic and scene.contact else 0,
+        "corner": vertices if split and scene.contact else 0,
+        "damping": 23 * vertices if split and scene.contact else 0,
         "pose": slots.POSE * len(scene.instrument),
         "motion": 6 * bodies,
         "contact": slots.GATHER * bodies,

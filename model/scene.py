@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, PrivateAttr, Tag, model_validator
 
-from tissue_contact.presets import BEYOND_SPRINGS, OF_PROJECTIVE, PRESETS, PresetName
+from tissue_contact.presets import BEYOND_SPRINGS, DEFAULT, OF_PROJECTIVE, PRESETS, PresetName
 from tissue_contact.settings import (
     Settings,
     broken,
@@ -394,7 +394,7 @@ class Solver(Settings):
     In a validated scene what the preset fills in is filled in.
     """
 
-    preset: PresetName | None = Field(None, description=PRESET_MEANING)
+    preset: PresetName = Field(DEFAULT, description=PRESET_MEANING)
     step: float = quantity("s", 1e-6, 1, "communication step", 0.001)
     stop_time: float = quantity("s", 1e-6, 1e6, "end of the default experiment", 1.0)
     gravity: Annotated[tuple[Coordinate, ...], Field(min_length=3, max_length=3)] = items(
@@ -419,6 +419,14 @@ class Solver(Settings):
         1,
         "share of the contacts' impulse with a change of which an iteration of projective_dynamics is the last, 0 for "
         "none",
+        0.0,
+    )
+    motion_limit: float = quantity(
+        "m",
+        0,
+        1,
+        "way of a vertex in a substep of projective_dynamics above which the rest of the communication step is made by "
+        "symplectic_euler, as where its way changes by two fifths of that; 0 for never, as where substeps is given",
         0.0,
     )
     energy_gain: float = quantity(
@@ -494,19 +502,19 @@ class Scene(Settings):
     def _preset(self) -> "Scene":
         """Fill in the solver's keys that its preset gives and the file does not."""
         solver, given = self.solver, self.solver.model_fields_set
-        if solver.preset is not None:
-            chosen = PRESETS[solver.preset]
-            not_springs = [f"{t.beyond_springs[0]} of tissue {t.name}" for t in self.tissue if t.beyond_springs]
-            if not_springs and chosen.integrator == "projective_dynamics" and "integrator" not in given:
+        chosen = PRESETS[solver.preset]
+        not_springs = [f"{t.beyond_springs[0]} of tissue {t.name}" for t in self.tissue if t.beyond_springs]
+        if not_springs and chosen.integrator == "projective_dynamics" and "integrator" not in given:
+            if "preset" in given:
                 self._remarks = (
                     f"preset {solver.preset} is {BEYOND_SPRINGS.words} in this scene, for {chosen.integrator} does not "
                     f"know the {not_springs[0]}",
                 )
-                chosen = BEYOND_SPRINGS
-            # What goes with another integrator than the file's has no meaning for that.
-            fits = "integrator" not in given or solver.integrator == chosen.integrator
-            missing = {key: value for key, value in chosen.keys.items() if fits and key not in given}
-            self.__dict__["solver"] = solver.model_copy(update=missing)
+            chosen = BEYOND_SPRINGS
+        # What goes with another integrator than the file's has no meaning for that.
+        fits = "integrator" not in given or ("preset" in given and solver.integrator == chosen.integrator)
+        missing = {key: value for key, value in chosen.keys.items() if fits and key not in given}
+        self.__dict__["solver"] = solver.model_copy(update=missing)
         for key in OF_PROJECTIVE:
             if key in given and self.solver.integrator != "projective_dynamics":
                 rule = f"{key} has no meaning for integrator {self.solver.integrator}"

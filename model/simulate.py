@@ -32,7 +32,7 @@ class Refused(WorkError):
 @kernel
 def _stable_substep(model, parameters, state, scratch, h):  # type: ignore[no-untyped-def]
     """The kernel for Python, which only kernels may call."""
-    return stability.stable_substep(model, parameters, state, scratch, h)
+    return stability.stable_substep(model, parameters, state, scratch, model.integrator[0], h)
 
 
 class Rollout(NamedTuple):

@@ -45,6 +45,7 @@ ROUNDS = 5  # of the timed runs, one response after the other, of which the fast
 SCENE = """
 name = "accuracy"
 [solver]
+preset = "accurate"
 max_substeps = 100000
 {solver}
 [[tissue]]
@@ -303,6 +304,7 @@ def summary(kept: Mapping[str, Any]) -> dict[str, Any]:
 ORGAN = """
 name = "organ"
 [solver]
+preset = "accurate"
 max_substeps = 100000
 [[tissue]]
 {source}

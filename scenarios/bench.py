@@ -194,7 +194,9 @@ def measure(levels: Sequence[str], say: Callable[[str], None]) -> dict[str, Any]
         tissue = IRREGULAR.format(n=6000)
         for what, contact in (("6K irregular", CONTACT), ("6K irregular, no contact declared", "")):
             say(what)
-            results[what] = level_result(SCENE.format(solver="", tissue=tissue, contact=contact), folder)
+            results[what] = level_result(
+                SCENE.format(solver=PRESET.format("accurate"), tissue=tissue, contact=contact), folder
+            )
     return results
 
 

@@ -35,7 +35,7 @@ class PeerScene(NamedTuple):
     lowest: Real  # [m] height of the tissue's lowest vertex at every millisecond
 
 
-def assembly_of(sheet: Path, solver: str = "", contact: str = bench.CONTACT) -> Assembly:
+def assembly_of(sheet: Path, solver: str = bench.PRESET.format("accurate"), contact: str = bench.CONTACT) -> Assembly:
     """The bench's scene on a sheet."""
     return assemble(parse_scene(bench.on_sheet(sheet, solver, contact).encode(), sheet.parent))
 

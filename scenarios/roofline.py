@@ -33,7 +33,7 @@ from tissue_contact.scenarios.counts import Part
 from tissue_contact.simulate import Instance, run
 
 SOLVERS = {
-    "symplectic_euler": "",
+    "symplectic_euler": 'integrator = "symplectic_euler"',
     "projective_dynamics": 'integrator = "projective_dynamics"\niterations = 2',
 }
 PRESSED = 450  # steps of the motion of bench until the capsule is deep and slides

@@ -160,6 +160,9 @@ def case_of(seed: int, folder: Path) -> Case:
         # last of all, so that every seed keeps the rest of its scene
         few = min(tables["solver"]["max_substeps"], 10)
         tables["solver"] |= {"integrator": "projective_dynamics", "iterations": draw.integer(1, 8)}
+        if draw.chance(0.5):
+            few = min(tables["solver"]["max_substeps"], 40)
+            tables["solver"]["motion_limit"] = draw.constant((1e-5, 1e-3), (1e-7, 1.0))
         tables["solver"] |= {"max_substeps": few, "substeps": min(tables["solver"]["substeps"], few)}
     return Case(scene_text({k: v for k, v in tables.items() if v}), flat)
 

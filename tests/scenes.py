@@ -14,7 +14,10 @@ from tissue_contact.simulate import Instance
 
 
 def assembled(text: str, folder: Path = Path()) -> Assembly:
-    """Assembly of a scene given as TOML without its name."""
+    """Assembly of a scene given as TOML without its name; of symplectic Euler unless it says how it is integrated."""
+    if "integrator" not in text and "preset" not in text:
+        table, accurate = "[solver]\n", 'preset = "accurate"\n'
+        text = text.replace(table, table + accurate, 1) if table in text else table + accurate + text
     return assemble(parse_scene(f'name = "test"\n{text}'.encode(), folder))
 
 

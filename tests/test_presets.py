@@ -12,7 +12,7 @@ from test_cli import command, one_line
 from tissue_contact.assemble import assemble
 from tissue_contact.errors import InputError
 from tissue_contact.pool import in_line
-from tissue_contact.presets import BEYOND_SPRINGS, PRESETS, PresetName
+from tissue_contact.presets import BEYOND_SPRINGS, DEFAULT, PRESETS, PresetName
 from tissue_contact.scenarios import presets as measurement
 from tissue_contact.scenarios.scenario import read_scenario
 from tissue_contact.scene import Scene, parse_scene, scene_schema
@@ -55,9 +55,17 @@ def test_a_preset_fills_in_what_the_scene_does_not_say(name):
     assert (solver.safety, solver.substeps, solver.detection) == (0.5, 0, "continuous")
 
 
-def test_without_a_preset_nothing_changes():
-    plain = scene_of("")
-    assert (plain.solver.preset, plain.solver.integrator, plain.remarks) == (None, "symplectic_euler", ())
+def test_without_a_preset_a_scene_has_the_default_one():
+    plain = scene_of("").solver
+    assert {key: getattr(plain, key) for key in PRESETS[DEFAULT].keys} == PRESETS[DEFAULT].keys
+    named = scene_of('integrator = "projective_dynamics"').solver
+    assert (named.iterations, named.tolerance, named.motion_limit) == (3, 0.0, 0.0), "none was asked for"
+
+
+def test_the_default_takes_what_works_beyond_springs_without_a_word():
+    """Nobody asked for anything that it could not give."""
+    made = scene_of("", "nonlinearity = 1.0")
+    assert (made.solver.integrator, made.remarks) == (BEYOND_SPRINGS.integrator, ())
 
 
 @pytest.mark.parametrize("name", PROJECTIVE)
@@ -102,7 +110,7 @@ def test_an_edit_of_a_preset_keeps_the_file_and_the_reference_leaves_it_aside():
 
 def test_the_schema_knows_the_presets_and_what_they_are():
     key = scene_schema()["$defs"]["Solver"]["properties"]["preset"]
-    assert key["anyOf"][0]["enum"] == list(PRESETS)
+    assert key["enum"] == list(PRESETS)
     assert all(preset.words in key["description"] for preset in (*PRESETS.values(), BEYOND_SPRINGS))
 
 

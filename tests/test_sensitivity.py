@@ -48,6 +48,10 @@ CASES = {
     "automatic substeps": {"contact": FIELD, "solver": ""},
     "implicit Euler": {"contact": FIELD, "solver": FIXED + 'integrator = "implicit_euler"'},
     "projective dynamics": {"contact": FIELD, "solver": FIXED + 'integrator = "projective_dynamics"'},
+    "fast motion resolved": {
+        "contact": FIELD,
+        "solver": 'integrator = "projective_dynamics"\nmotion_limit = 1e-4',
+    },
     "Runge-Kutta": {"contact": HULL, "solver": 'substeps = 40\nintegrator = "runge_kutta_4"'},
     "explicit Euler": {"contact": FIELD, "solver": 'substeps = 100\nintegrator = "explicit_euler"'},
     "surface": {"contact": FIELD, "tissue": "nonlinearity = 500.0\narea_stiffness = 50.0"},

@@ -19,9 +19,10 @@ from tissue_contact.kernels.slots import (
 )
 
 # A whole Laplacian, springs as stiff across as along, bounds their own matrix from above and each iteration goes too
-# short a way: waves along a sheet of triangles need 3/4 of it. With two thirds two iterations err by 0.98 % instead of
-# 1.29 % in the scene of docs/speed.md; with less than half the iteration may diverge, with 0.55 one alone did.
-SOFTER = 1.5
+# short a way: waves along a sheet of triangles need 3/4 of it, motion along springs in one line all of it. Of a motion
+# far stiffer than its mass that is s times as stiff as it is in A, one iteration multiplies place and dt velocity by
+# matrices of eigenvalues c ± sqrt(c² - c), c = 1 - s: within the unit circle up to s = 4/3.
+SOFTER = 4.0 / 3.0
 
 
 @inner

@@ -157,6 +157,7 @@ class Model(NamedTuple):
     detection_period: Real  # [s], shape [1], time between two collision detections
     energy_gain: Real  # [1], shape [1], energy that may come from nowhere over what was put in
     tolerance: Real  # [1], shape [1], change of the contacts' impulse with which projective dynamics is content
+    motion_limit: Real  # [m], shape [1], way of a vertex in a substep, beyond which projective dynamics is left; 0 none
 
 
 class State(NamedTuple):

@@ -36,10 +36,11 @@ from tissue_contact.kernels.slots import (
     TISSUE_PARAMETERS,
 )
 from tissue_contact.kernels.springs import damp_product, directions
-from tissue_contact.kernels.start import keep_start, place
+from tissue_contact.kernels.start import back_to_start, keep_start, place
 
 FAINT = 1e-9  # of a row's diagonal in A, below which the stiffness of a contact is left out
 SETTLED = 1e-6  # of the right side, weighted by H: far less than an iteration leaves out of the springs
+SUDDEN = 0.4  # of the longest way of a vertex in a substep: the change of its way that is as much too fast
 
 
 @inner
@@ -361,8 +362,29 @@ def _pressed(scratch):
 
 
 @inner
-def projective_dynamics(model, parameters, state, scratch, elapsed, dt):
-    """One substep, from elapsed [s] after the last communication point; what the bodies feel is that of its end."""
+def _too_fast(state, scratch, longest, dt):
+    """Whether any vertex goes a longer way in dt than ``longest`` [m], or changes its way by `SUDDEN` of that."""
+    n, start = state.x.size, scratch.start
+    most = (longest / dt) ** 2
+    sudden = SUDDEN * SUDDEN * most
+    found = False
+    for v in range(n):  # with no way out it runs in vectors
+        vx, vy, vz = state.vx[v], state.vy[v], state.vz[v]
+        ax, ay, az = vx - start[3 * n + v], vy - start[4 * n + v], vz - start[5 * n + v]
+        found |= (vx * vx + vy * vy + vz * vz > most) | (ax * ax + ay * ay + az * az > sudden)
+    return found
+
+
+@inner
+def projective_dynamics(model, parameters, state, scratch, elapsed, dt, longest):
+    """One substep, from elapsed [s] after the last communication point; what the bodies feel is that of its end.
+
+    Returns
+    -------
+    bool
+        Whether it was done: not where a vertex moves too fast for a way of ``longest`` [m], 0 for any; then the state
+        is that of before.
+    """
     n, right = state.x.size, scratch.right
     ready(model, parameters, scratch, dt)
     keep_start(state, scratch)
@@ -382,6 +404,10 @@ def projective_dynamics(model, parameters, state, scratch, elapsed, dt):
             state.vz[v] += right[o + 2]
         if model.tolerance[0] > 0.0 and changed <= model.tolerance[0] * dt * _pressed(scratch):
             break
+    if longest > 0.0 and _too_fast(state, scratch, longest, dt):
+        back_to_start(state, scratch)
+        state.work[0], state.dissipated[0] = work, dissipated
+        return False
     place(state, scratch, dt)
     clear_contacts(state, scratch)
     contact_forces(model, parameters, state, scratch, elapsed + dt, dt, False)
@@ -395,3 +421,4 @@ def projective_dynamics(model, parameters, state, scratch, elapsed, dt):
             if damped:
                 q = scratch.solve[3 * n : 6 * n]
                 scratch.loss[v] += dt * (vx * q[v] + vy * q[n + v] + vz * q[2 * n + v])
+    return True

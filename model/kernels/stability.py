@@ -103,15 +103,14 @@ def contact_slope(model, parameters, state, k, travel):
 
 
 @inner
-def stable_substep(model, parameters, state, scratch, h):
-    """Largest stable substep [s] of a step h [s], over all the tissues.
+def stable_substep(model, parameters, state, scratch, scheme, h):
+    """Largest stable substep [s] of a scheme in a step h [s], over all the tissues.
 
     omega² is bounded by the springs' largest eigenvalue plus support, constraints, contacts and holds: a contact of
     shares as if one vertex had to bear all of it for every part of the instrument, or what it bears now if that is
     more; a distance field by its stiffness per area. Dampers, implicit in symplectic Euler, only raise its limit.
     """
     limit = math.inf
-    scheme = model.integrator[0]
     if scheme in (IMPLICIT_EULER, PROJECTIVE_DYNAMICS):
         return limit
     for n in range(model.tissue_rate.size):

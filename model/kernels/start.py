@@ -30,3 +30,12 @@ def place(state, scratch, dt):
         state.x[v] = start[v] + dt * state.vx[v]
         state.y[v] = start[n + v] + dt * state.vy[v]
         state.z[v] = start[2 * n + v] + dt * state.vz[v]
+
+
+@inner
+def back_to_start(state, scratch):
+    """Put the tissue back to the places and velocities that were noted."""
+    n, start = state.x.size, scratch.start
+    for v in range(n):
+        state.x[v], state.y[v], state.z[v] = start[v], start[n + v], start[2 * n + v]
+        state.vx[v], state.vy[v], state.vz[v] = start[3 * n + v], start[4 * n + v], start[5 * n + v]

@@ -186,11 +186,11 @@ def _tune(model, parameters, state, scratch, outputs):
 
 
 @inner
-def _substeps(model, parameters, state, h, scratch):
-    """Number of substeps of a step h, 0 where the budget does not allow it."""
+def _substeps(model, parameters, state, h, scheme, scratch):
+    """Number of substeps of a scheme in a step h, 0 where the budget does not allow it."""
     if model.substeps_fixed[0] > 0:
         return int(model.substeps_fixed[0])
-    needed = h / (model.safety[0] * stable_substep(model, parameters, state, scratch, h))
+    needed = h / (model.safety[0] * stable_substep(model, parameters, state, scratch, scheme, h))
     if model.continuous[0] == 1:
         needed = max(needed, h * motion_rate(model, state, scratch, False))
     # Compared before it becomes an integer, which not every number fits into.
@@ -199,7 +199,7 @@ def _substeps(model, parameters, state, h, scratch):
         scratch.detail[0], scratch.detail[1] = whole, model.substeps_max[0]
         return 0
     substeps = max(1, math.ceil(needed))
-    if model.integrator[0] == PROJECTIVE_DYNAMICS:
+    if scheme == PROJECTIVE_DYNAMICS:
         # a factor serves one length of substep: few lengths, few factors
         even = 1
         while even < substeps:
@@ -209,16 +209,21 @@ def _substeps(model, parameters, state, h, scratch):
 
 
 @inner
-def _substep(model, parameters, state, scratch, elapsed, dt):
-    """Advance all the tissues by dt, and count impulse, work and dissipation."""
-    scheme = model.integrator[0]
+def _substep(model, parameters, state, scratch, scheme, elapsed, dt, longest):
+    """Advance all the tissues by dt, and count impulse, work and dissipation.
+
+    Returns
+    -------
+    bool
+        Whether it was done: not by projective dynamics where a vertex moves too fast for a way of ``longest`` [m].
+    """
     if scheme == RUNGE_KUTTA_4:
         runge_kutta(model, parameters, state, scratch, elapsed, dt)
     elif scheme in (IMPLICIT_EULER, PROJECTIVE_DYNAMICS):
         if scheme == IMPLICIT_EULER:
             implicit_euler(model, parameters, state, scratch, elapsed, dt)
-        else:
-            projective_dynamics(model, parameters, state, scratch, elapsed, dt)
+        elif not projective_dynamics(model, parameters, state, scratch, elapsed, dt, longest):
+            return False
         add_pulse(scratch, dt)
     else:
         tissue_forces(model, parameters, state, scratch)
@@ -236,6 +241,7 @@ def _substep(model, parameters, state, scratch, elapsed, dt):
         if state.held[g] > 0:
             r, p = pose_of(state, scratch, model.grasp_body[g], elapsed + dt)
             slide(model, parameters, state, g, r, p)
+    return True
 
 
 @inner
@@ -311,8 +317,10 @@ def _swing(model, parameters, state, scratch, h, dt):
 
 
 @inner
-def _check_energy(model, parameters, state, scratch, h, dt, stored, work, gained):
+def _check_energy(model, parameters, state, scratch, scheme, h, dt, stored, work, gained):
     """Refuse a step, and a sum of steps, that gains more energy from nowhere than can be explained.
+
+    ``scheme`` and ``dt`` [s] are those of the step's last substep.
 
     A step: a swing of what was stored before it and of its ``work`` [J], and what late detections may find. All steps:
     what was put in, times a factor of the scene, what one late detection usually finds, at the fastest so far, and the
@@ -331,7 +339,7 @@ def _check_energy(model, parameters, state, scratch, h, dt, stored, work, gained
         return ENERGY_GAIN
     put_in, slack = state.put_in[0], state.found[0] + rounding
     allowed = model.energy_gain[0] * put_in + slack
-    if gained > rounding and state.gained[0] > allowed and model.integrator[0] == SYMPLECTIC_EULER:
+    if gained > rounding and state.gained[0] > allowed and scheme == SYMPLECTIC_EULER:
         # An unstable motion is all swing, a stable one at the share s of its limit a share s at most.
         allowed += min(_swing(model, parameters, state, scratch, h, dt), model.safety[0] * stored)
     if gained > rounding and not state.gained[0] <= allowed:
@@ -416,13 +424,20 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
     dissipated, weight = state.dissipated[0], weight_energy(model, parameters, state)
     _work_jaws(model, parameters, state, scratch, inputs)
     _move(model, state, scratch, h)
-    substeps = _substeps(model, parameters, state, h, scratch)
+    scheme, longest = model.integrator[0], model.motion_limit[0] if model.substeps_fixed[0] == 0 else 0.0
+    substeps = _substeps(model, parameters, state, h, scheme, scratch)
     if substeps == 0:
         return SUBSTEP_BUDGET
     scratch.loss[:] = 0.0
-    dt = h / substeps
-    for n in range(substeps):
-        _substep(model, parameters, state, scratch, n * dt, dt)
+    dt, n, done = h / substeps, 0, 0
+    while n < substeps:
+        if not _substep(model, parameters, state, scratch, scheme, n * dt, dt, longest):
+            parts = _substeps(model, parameters, state, dt, SYMPLECTIC_EULER, scratch)
+            if 0 < parts * substeps <= model.substeps_max[0]:
+                scheme, n, substeps, dt = SYMPLECTIC_EULER, n * parts, substeps * parts, dt / parts
+            else:
+                longest = 0.0  # rather as before than not at all
+            continue
         if scratch.active_a.size > 0 and scratch.active[0] > scratch.active_a.size:
             scratch.detail[0], scratch.detail[1] = scratch.active_a.size, scratch.active[0]
             return TOO_MANY_POINTS
@@ -440,18 +455,19 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
                 status = detect_all(model, state, scratch, (n + 1) * dt)
             if status != OK:
                 return status
+        n, done = n + 1, done + 1
     for v in range(state.x.size):
         state.dissipated[0] += scratch.loss[v]
     if state.since_detection[0] > 0.0:  # else checked since it moved
         status = _check_state(state, scratch)
         if status != OK:
             return status
-    stored = give(model, parameters, state, scratch, h, substeps, outputs)
+    stored = give(model, parameters, state, scratch, h, done, outputs)
     work = state.work[0] - work
     state.put_in[0] += max(0.0, work) + max(0.0, weight - weight_energy(model, parameters, state))
     # Energy that dampers give comes from nowhere as well, though the balance counts it as taken.
     gained = before - outputs[balance] + max(0.0, dissipated - state.dissipated[0])
-    status = _check_energy(model, parameters, state, scratch, h, dt, stored, work, gained)
+    status = _check_energy(model, parameters, state, scratch, scheme, h, dt, stored, work, gained)
     if status != OK:
         return status
     state.stored[0] = stored
