@@ -128,7 +128,7 @@ def test_run_is_0_or_1_as_expected(folder: Path) -> None:
 
 
 def test_a_step_that_cannot_be_done_is_1(folder: Path) -> None:
-    (folder / "scene.toml").write_text(SCENE.replace("[solver]", "[solver]\nmax_substeps = 1"))
+    (folder / "scene.toml").write_text(SCENE.replace("[solver]", '[solver]\npreset = "accurate"\nmax_substeps = 1'))
     done = command("run", folder, "-o", folder.parent / "out", "--no-figures")
     assert done.returncode == 1
     assert "substeps" in one_line(done.stderr) and "Kept the 1 rows" in done.stderr

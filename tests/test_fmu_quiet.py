@@ -110,7 +110,7 @@ def test_a_step_in_contact_is_quiet(solver, contact, tmp_path):
     path = build(assembly, tmp_path / "quiet.fmu", ["linux64"])
     outputs, _ = native.drive(path, press(40), H, watched=True)
     touching = outputs[:, index(assembly, "instrument.force[3]")] > 0.0
-    assert 10 < touching.sum() < 40  # it was in contact, came and left
+    assert 5 < touching.sum() < 40  # it was in contact, came and left
 
 
 @LINUX

@@ -253,7 +253,7 @@ WRONG = {
     ),
     "iterations of nothing": (
         "[[contact]]",
-        "[solver]\niterations = 2\n[[contact]]",
+        '[solver]\npreset = "accurate"\niterations = 2\n[[contact]]',
         ["solver.iterations", "no meaning for integrator symplectic_euler", "found 2", "or take projective_dynamics"],
     ),
     "iterations of a preset that cannot have any": (
