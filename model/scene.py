@@ -417,8 +417,8 @@ class Solver(Settings):
         "1",
         0,
         1,
-        "share of the contacts' impulse with a change of which an iteration of projective_dynamics is the last, 0 for "
-        "none",
+        "share of the contacts' impulse, or of the motion where nothing is touched, with a change of which an "
+        "iteration of projective_dynamics is the last, 0 for none",
         0.0,
     )
     motion_limit: float = quantity(

@@ -156,7 +156,7 @@ class Model(NamedTuple):
     safety: Real  # [1], shape [1], share of the stable limit that is used
     detection_period: Real  # [s], shape [1], time between two collision detections
     energy_gain: Real  # [1], shape [1], energy that may come from nowhere over what was put in
-    tolerance: Real  # [1], shape [1], change of the contacts' impulse with which projective dynamics is content
+    tolerance: Real  # [1], shape [1], change with which projective dynamics is content
     motion_limit: Real  # [m], shape [1], way of a vertex in a substep, beyond which projective dynamics is left; 0 none
 
 

@@ -362,6 +362,25 @@ def _pressed(scratch):
 
 
 @inner
+def _settled(model, state, scratch, dt, count, changed):
+    """Whether an iteration changed the impulses of the contacts of ``count`` touched rows within the tolerance.
+
+    Where nothing is touched it is the motion, in the norm of the areas: what few iterations leave out of a free motion
+    is energy.
+    """
+    tolerance = model.tolerance[0]
+    if count > 0:
+        return changed <= tolerance * dt * _pressed(scratch)
+    right, change, motion = scratch.right, 0.0, 0.0
+    for row in range(model.factor_vertex.size):
+        v, o = model.factor_vertex[row], 4 * row
+        a, vx, vy, vz = model.node_area[v], state.vx[v], state.vy[v], state.vz[v]
+        change += a * (right[o] * right[o] + right[o + 1] * right[o + 1] + right[o + 2] * right[o + 2])
+        motion += a * (vx * vx + vy * vy + vz * vz)
+    return change <= tolerance * tolerance * motion
+
+
+@inner
 def _too_fast(state, scratch, longest, dt):
     """Whether any vertex goes a longer way in dt than ``longest`` [m], or changes its way by `SUDDEN` of that."""
     n, start = state.x.size, scratch.start
@@ -402,7 +421,7 @@ def projective_dynamics(model, parameters, state, scratch, elapsed, dt, longest)
             state.vx[v] += right[o]
             state.vy[v] += right[o + 1]
             state.vz[v] += right[o + 2]
-        if model.tolerance[0] > 0.0 and changed <= model.tolerance[0] * dt * _pressed(scratch):
+        if _settled(model, state, scratch, dt, count, changed):
             break
     if longest > 0.0 and _too_fast(state, scratch, longest, dt):
         back_to_start(state, scratch)
