@@ -145,8 +145,8 @@ def figure(data: Found) -> bytes:
         for words, (us, error) in zip(done, line, strict=True):
             axes.plot(us, error, MARKS[words], color=drawn_line.get_color(), ms=6)
     for words, mark in MARKS.items():
-        names = [f"“{name}”" for name, preset in PRESETS.items() if preset.words == words]
-        axes.plot([], [], mark, color="black", ls="none", label=" ".join([words, *names]))
+        named = [f"preset {name}" for name, preset in PRESETS.items() if preset.words == words]
+        axes.plot([], [], mark, color="black", ls="none", label=(named or [words])[0])
     axes.set(xscale="log", yscale="log", xlabel="step in contact, median [µs]", ylabel="error of the force [%]")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
