@@ -30,6 +30,7 @@ SCENE = """\
 # A sheet, and a ball over it.
 name = "tiny"
 [solver]
+preset = "accurate"
 stop_time = 0.06
 [[tissue]]
 {source}
