@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -66,13 +67,21 @@ shape = { kind = "box", size = [0.01, 0.01, 0.01] }
 """
 
 
+def cut_cells(along: int, across: int) -> NDArray[np.intp]:
+    """Triangles, shape [2 along across, 3], of a grid of cells, each cut along the same diagonal.
+
+    Vertices are numbered across first, from 0.
+    """
+    corner = (np.arange(along)[:, None] * (across + 1) + np.arange(across)).ravel()
+    right, up = corner + across + 1, corner + 1
+    return np.concatenate([np.column_stack([corner, right, right + 1]), np.column_stack([corner, right + 1, up])])
+
+
 def sheet(cells: int) -> str:
     """OBJ text of a curved sheet of 60 mm, cells x cells, each cut along the same diagonal."""
     side = np.linspace(-0.03, 0.03, cells + 1)
     x, y = (c.ravel() for c in np.meshgrid(side, side, indexing="ij"))
-    corner = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel() + 1
-    right, up = corner + cells + 1, corner + 1
-    faces = np.concatenate([np.column_stack([corner, right, right + 1]), np.column_stack([corner, right + 1, up])])
+    faces = cut_cells(cells, cells) + 1
     lines = [f"v {a!r} {b!r} {-(a * a + b * b) / 0.8!r}" for a, b in zip(x.tolist(), y.tolist(), strict=True)]
     return "\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in faces.tolist())]) + "\n"
 

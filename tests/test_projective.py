@@ -14,6 +14,7 @@ from tissue_contact.fmu.build import build
 from tissue_contact.fmu.native import drive, host_platform
 from tissue_contact.kernels import factor, slots
 from tissue_contact.kernels.compiled import kernel
+from tissue_contact.scenarios.bench import cut_cells
 from tissue_contact.simulate import Instance, rollout
 
 SEED = 18
@@ -256,10 +257,8 @@ def test_one_iteration_is_stable_where_springs_in_one_line_bear_it(tmp_path):
     With two thirds of the Laplacian in the place of three quarters the sheet gains energy until it is refused.
     """
     x, y = (c.ravel() for c in np.meshgrid(np.linspace(-0.02, 0.02, 11), np.linspace(-0.02, 0.02, 41), indexing="ij"))
-    corner = (np.arange(10)[:, None] * 41 + np.arange(40)).ravel()
-    faces = np.concatenate([np.column_stack([corner, corner + 41, corner + 42]),
-                            np.column_stack([corner, corner + 42, corner + 1])])  # fmt: skip
-    write_mesh(tmp_path / "stretched.obj", np.column_stack([x, y, -2.0 * (x * x + y * y)]), faces)
+    surface = np.column_stack([x, y, -2.0 * (x * x + y * y)])
+    write_mesh(tmp_path / "stretched.obj", surface, cut_cells(10, 40))
 
     def force(solver):
         assembly = assembled(f"""
