@@ -396,13 +396,14 @@ def test_a_sheet_has_no_inside():
 
 
 @kernel
-def passed_over(model, r, corners):
+def passed_over(model, corners):
     """Which triangles [n, 3, 3] a response passes over."""
     out, parts = np.zeros(corners.shape[0]), model.part_field.size
     steep = steepness(model, 0, parts)
     for k in range(corners.shape[0]):
         a, b, c = corners[k]
-        culled = out_of_reach(model, 0, parts, steep, r, (a[0], a[1], a[2]), (b[0], b[1], b[2]), (c[0], c[1], c[2]))
+        a, b, c = (a[0], a[1], a[2]), (b[0], b[1], b[2]), (c[0], c[1], c[2])
+        culled = out_of_reach(model, 0, parts, steep, a, b, c)
         out[k] = 1.0 if culled else 0.0
     return out
 
@@ -432,7 +433,7 @@ def test_a_triangle_that_is_passed_over_has_no_point_within_the_body(shape):
     reach = np.array([model.body_low[:3], model.body_high[:3]])
     middle = rng.uniform(reach[0] - R, reach[1] + R, (4000, 3))
     corners = middle[:, None] + rng.normal(size=(4000, 3, 3)) * R * rng.uniform(0.05, 1, (4000, 1, 1))
-    culled = passed_over(Bundle(model), tuple(np.eye(3).ravel()), corners) == 1.0
+    culled = passed_over(Bundle(model), corners) == 1.0
     weights = rng.dirichlet(np.ones(3), 300)
     arrays = fields_of.py_func(model)
     deepest = np.array(

@@ -2,7 +2,7 @@
 
 from tissue_contact.kernels.compiled import inner
 from tissue_contact.kernels.energy import tissue_energies
-from tissue_contact.kernels.forces import body_forces, clear_contacts, contact_forces
+from tissue_contact.kernels.forces import add_pulse, body_forces, clear_contacts, contact_forces
 from tissue_contact.kernels.slots import (
     BODY_OUTPUTS,
     COMMON_OUTPUTS,
@@ -33,8 +33,10 @@ from tissue_contact.kernels.slots import (
 
 
 @inner
-def give(model, parameters, state, scratch, h, substeps, outputs):
+def give(model, parameters, state, scratch, h, tau, substeps, outputs):
     """Fill the outputs for the end of a step: elapsed h after the last communication point, still in the state.
+
+    For a time ``tau`` [s] before it what the contacts do now is what they did: impulse, work and dissipation.
 
     Returns
     -------
@@ -42,7 +44,8 @@ def give(model, parameters, state, scratch, h, substeps, outputs):
         Energy stored in tissue, contacts and holds [J].
     """
     clear_contacts(state, scratch)
-    contact = contact_forces(model, parameters, state, scratch, h, 0.0, False)
+    contact = contact_forces(model, parameters, state, scratch, h, tau, False)
+    add_pulse(scratch, tau)
     contact += body_forces(model, parameters, state, scratch, h, 0.0)
     bodies = state.pose.size // POSE
     for i in range(bodies):

@@ -36,10 +36,10 @@ def steepness(model, first_part, last_part):
 
 
 @pointwise
-def out_of_reach(model, first_part, last_part, steep, r, a, b, c):
-    """Whether no point of a triangle lies within a body; corners [m] from the body frame's origin, world axes."""
+def out_of_reach(model, first_part, last_part, steep, a, b, c):
+    """Whether no point of a triangle lies within a body; corners [m] in the body frame."""
     middle, _, _, _, radius = middle_of(a, b, c)
-    return gap_to(model, first_part, last_part, to_body(r, middle)) > steep * radius
+    return gap_to(model, first_part, last_part, middle) > steep * radius
 
 
 @inner
@@ -65,14 +65,17 @@ def press_tissue(model, parameters, state, scratch, contact, r, p, velocity, spi
         bx, by, bz = x[b] - p[0], y[b] - p[1], z[b] - p[2]
         cx, cy, cz = x[c] - p[0], y[c] - p[1], z[c] - p[2]
         first, last = model.triangle_point_start[t], model.triangle_point_start[t + 1]
-        if last - first > FEW and out_of_reach(
-            model, first_part, last_part, steep, r, (ax, ay, az), (bx, by, bz), (cx, cy, cz)
-        ):
+        # Most points do not touch: corners are turned into the body frame, not points.
+        u, v, w = to_body(r, (ax, ay, az)), to_body(r, (bx, by, bz)), to_body(r, (cx, cy, cz))
+        if last - first > FEW and out_of_reach(model, first_part, last_part, steep, u, v, w):
             continue
         for q in range(first, last):
             wa, wb, wc = model.point_a[q], model.point_b[q], model.point_c[q]
-            arm = (wa * ax + wb * bx + wc * cx, wa * ay + wb * by + wc * cy, wa * az + wb * bz + wc * cz)
-            spot = to_body(r, arm)
+            spot = (
+                wa * u[0] + wb * v[0] + wc * w[0],
+                wa * u[1] + wb * v[1] + wc * w[1],
+                wa * u[2] + wb * v[2] + wc * w[2],
+            )
             if seen_outside(fields, first_part, last_part, spot):
                 continue
             distance, gx, gy, gz = body_distance(fields, first_part, last_part, spot)
@@ -81,6 +84,7 @@ def press_tissue(model, parameters, state, scratch, contact, r, p, velocity, spi
             direction = to_world(r, (gx, gy, gz))
             if direction[0] == 0.0 and direction[1] == 0.0 and direction[2] == 0.0:
                 continue  # in the middle of the body, as far from one side as from the other
+            arm = (wa * ax + wb * bx + wc * cx, wa * ay + wb * by + wc * cy, wa * az + wb * bz + wc * cz)
             own = moving_point(velocity, spin, arm)
             against = (
                 own[0] - (wa * vx[a] + wb * vx[b] + wc * vx[c]),

@@ -396,7 +396,7 @@ def _too_fast(state, scratch, longest, dt):
 
 @inner
 def projective_dynamics(model, parameters, state, scratch, elapsed, dt, longest):
-    """One substep, from elapsed [s] after the last communication point; what the bodies feel is that of its end.
+    """One substep, from elapsed [s] after the last communication point; what the bodies then feel is not told.
 
     Returns
     -------
@@ -428,8 +428,6 @@ def projective_dynamics(model, parameters, state, scratch, elapsed, dt, longest)
         state.work[0], state.dissipated[0] = work, dissipated
         return False
     place(state, scratch, dt)
-    clear_contacts(state, scratch)
-    contact_forces(model, parameters, state, scratch, elapsed + dt, dt, False)
     for tissue in range(model.tissue_rate.size):
         own = TISSUE_PARAMETERS * tissue
         c = dt * (parameters[own + DRAG] + parameters[own + SUPPORT_DAMPING])
