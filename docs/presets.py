@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator
 from pages import filled, table
 
 from tissue_contact.presets import PRESETS
-from tissue_contact.scenarios.presets import CANDIDATES, SHEET
+from tissue_contact.scenarios.presets import CANDIDATES, SHEETS
 from tissue_contact.study.front import percent
 
 DOCS = Path(__file__).parent
@@ -35,7 +35,7 @@ def cell(share: float | None) -> str:
 
 def shown(name: str) -> str:
     """A scenario with a link to what it is."""
-    return "[6K sheet](speed.md)" if name == SHEET else f"[{name}](../scenarios/{name}/README.md)"
+    return f"[{SHEETS[name]}](speed.md)" if name in SHEETS else f"[{name}](../scenarios/{name}/README.md)"
 
 
 def of_presets(about: Found) -> Iterator[tuple[str, Found]]:

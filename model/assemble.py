@@ -26,6 +26,7 @@ from tissue_contact.kernels.stability import (
 )
 from tissue_contact.scene import Scene
 from tissue_contact.sheets import Sheet, sheet_of
+from tissue_contact.surfaces import touched_edge
 from tissue_contact.table import Sizes, graspers_of, variable_table
 
 RESPONSES = {
@@ -99,9 +100,9 @@ def _check_scheme(scene: Scene) -> None:
 
 def _check_spacing(scene: Scene, sheets: list[Sheet], bodies: list[Body]) -> None:
     """Refuse a spacing that the points of a mesh cannot have."""
-    names = [thing.name for thing in (*scene.tissue, *scene.bodies)]
+    things = (*scene.tissue, *scene.bodies)
     surfaces = [sheet.surface for sheet in sheets] + [body.surface for body in bodies]
-    longest = {name: fields.longest_edges(s).max() for name, s in zip(names, surfaces, strict=True)}
+    longest = {thing.name: touched_edge(thing, surface) for thing, surface in zip(things, surfaces, strict=True)}
     for contact in scene.contact:
         spacing, edge = contact.quadrature_spacing, longest[contact.between[0]]
         if spacing is not None and spacing * fields.CUTS_MAX < edge * (1.0 - 1e-9):  # a mesh rounds its edges

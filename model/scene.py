@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, PrivateAttr, Tag, model_validator
 
+from tissue_contact.grading import GROWTH, GROWTH_MAX
 from tissue_contact.presets import BEYOND_SPRINGS, DEFAULT, OF_PROJECTIVE, PRESETS, PresetName
 from tissue_contact.settings import (
     Settings,
@@ -46,6 +47,17 @@ Quaternion = Annotated[
     Field(min_length=4, max_length=4, strict=False),
     AfterValidator(_unit_quaternion),
 ]
+
+
+def _in_order(value: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+    low, high = value
+    if any(a > b for a, b in zip(low, high, strict=True)):
+        rule = "the first corner must be the least one along x, y and z"
+        raise broken((), rule, show(value), "Order the coordinates of the two corners")
+    return value
+
+
+Corners = Annotated[tuple[Point, ...], Field(min_length=2, max_length=2, strict=False), AfterValidator(_in_order)]
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -68,12 +80,30 @@ def _seed() -> Any:
     return quantity("1", 0, 2**31 - 1, "number that picks one of the irregular triangulations", 0)
 
 
-class Patch(Settings):
+class Graded(Settings):
+    """What generated tissues share: a mesh that is finest where it is touched."""
+
+    triangles: int = quantity("1", 2, 1_000_000, "wanted number of triangles, with a reach if it were as fine all over")
+    reach: Corners | None = items(
+        "m", "least and greatest corner of a box in the shape's frame, beyond which the mesh gets coarser", None
+    )
+    growth: float = quantity(
+        "1", 0.01, GROWTH_MAX, "how much longer edges get beyond the reach, over their distance from it", GROWTH
+    )
+
+    @model_validator(mode="after")
+    def _grows_beyond_reach(self) -> "Graded":
+        if self.reach is None and "growth" in self.model_fields_set:
+            rule = "growth has no meaning where the mesh is as fine all over"
+            raise broken(("growth",), rule, show(self.growth), "Give reach, or remove growth")
+        return self
+
+
+class Patch(Graded):
     """A rectangular sheet round the origin, outer side toward +z."""
 
     kind: Literal["patch"]
     size: Lengths2 = items("m", "side lengths along x and y")
-    triangles: int = _triangles()
     curvature_radius: float | None = quantity(
         "m",
         -1000,
@@ -84,22 +114,28 @@ class Patch(Settings):
     seed: int = _seed()
     irregular: bool = Field(True, description="irregular triangulation; false gives rows of equal triangles")
 
+    @model_validator(mode="after")
+    def _graded_is_irregular(self) -> "Patch":
+        if self.reach is not None and not self.irregular:
+            raise broken(
+                ("reach",), "rows of equal triangles have no reach", show(self.reach), "Remove reach or irregular"
+            )
+        return self
 
-class Ellipsoid(Settings):
+
+class Ellipsoid(Graded):
     """A closed organ round the origin."""
 
     kind: Literal["ellipsoid"]
     radii: Lengths3 = items("m", "half axes along x, y, z")
-    triangles: int = _triangles()
     seed: int = _seed()
 
 
-class AbdominalWall(Settings):
+class AbdominalWall(Graded):
     """A flat sheet, outer side toward +z, with a hernia sac that hangs toward −z."""
 
     kind: Literal["abdominal_wall"]
     size: Lengths2 = items("m", "side lengths along x and y")
-    triangles: int = _triangles()
     opening_radius: float = _length("radius of the neck of the sac")
     sac_depth: float = _length("depth from the sheet to the bottom of the sac")
     seed: int = _seed()
@@ -195,15 +231,7 @@ class _Body(Settings):
 class FixedBox(Settings):
     """The vertices inside a box of the world frame."""
 
-    box: Annotated[tuple[Point, ...], Field(min_length=2, max_length=2)] = items("m", "least and greatest corner")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> "FixedBox":
-        low, high = self.box
-        if any(a > b for a, b in zip(low, high, strict=True)):
-            rule = "the first corner must be the least one along x, y and z"
-            raise broken(("box",), rule, show(self.box), "Order the coordinates of the two corners")
-        return self
+    box: Corners = items("m", "least and greatest corner")
 
 
 def _fixed_form(value: object) -> str:

@@ -1,6 +1,7 @@
 """Generated surfaces: patches and organs of tissue, and instruments; in metres.
 
-The same arguments give the same mesh.
+The same arguments give the same mesh. Tissue may be graded: with ``reach`` [m], two corners of a box, ``triangles`` is
+how many there were if all of it were as fine as within the box; beyond, edges grow by ``growth`` of the distance.
 
 Tissue is triangulated irregularly, as from an image, because a regular lattice lets waves and folds run along
 its rows. Its outer side is +z for sheets and outside for closed organs.
@@ -19,6 +20,7 @@ from scipy.spatial import ConvexHull, Delaunay
 
 from tissue_contact.errors import InputError
 from tissue_contact.geometry import FloatArray, IntArray, Surface, interior_edges, volume
+from tissue_contact.grading import GROWTH, Corners, Grading
 
 RELAXATIONS = 30  # rounds of Lloyd smoothing; more gain less than a degree in the smallest angle
 SAC_FILLET = 0.3  # radius of the rounded rim of a hernia's opening over the opening's radius
@@ -77,6 +79,8 @@ def patch(
     curvature_radius: float | None = None,
     seed: int = 0,
     irregular: bool = True,
+    reach: Corners | None = None,
+    growth: float = GROWTH,
 ) -> Surface:
     """A rectangular sheet round the origin, flat or curved: z = −(x² + y²)/(2R).
 
@@ -92,7 +96,9 @@ def patch(
     seed : int
         Another seed gives another mesh of the same sheet.
     irregular : bool
-        False gives rows of equal triangles, their number within 6 % from 200 triangles on.
+        False gives rows of equal triangles, their number within 6 % from 200 triangles on; not with a reach.
+    reach, growth
+        See the module.
 
     Raises
     ------
@@ -114,13 +120,17 @@ def patch(
     def to_space(plan: FloatArray) -> FloatArray:
         return np.column_stack([plan, 0.0 - bend * (plan**2).sum(axis=1)])
 
+    grading = Grading("patch", reach, growth, _edge(float(lengths.prod()), triangles))
     if not irregular:
+        way_out = "Leave reach out, or irregular"
+        _require(reach is None, "patch, reach", "must be left out where irregular is false", reach, way_out)
         plan = _rows(lengths, triangles)
         return Surface(to_space(plan), _delaunay(plan))
     rng = np.random.default_rng(seed)
-    rim, inner = _rim(lengths, triangles, float(lengths.prod()))
-    start = (_spread(inner, 2, rng) - 0.5) * (lengths - 0.5 * lengths.min() / len(rim))
-    return _relaxed(rim, start, to_space)
+    count, margin, inner = _finest(lengths, triangles, float(lengths.prod()))
+    start = (_spread(inner, 2, rng) - 0.5) * (lengths - margin)
+    start = grading.thinned(start, to_space(start), rng)
+    return _relaxed(_rim(lengths, count, to_space, grading), start, to_space, grading)
 
 
 def _rows(lengths: FloatArray, triangles: int) -> FloatArray:
@@ -139,19 +149,40 @@ def _rows(lengths: FloatArray, triangles: int) -> FloatArray:
     return np.asarray((np.concatenate(points) - 0.5) * lengths)
 
 
-def _rim(lengths: FloatArray, triangles: int, area: float) -> tuple[FloatArray, int]:
-    """Points of a rectangle's rim, and how many inner points make the asked number of triangles.
+def _edge(area: float, triangles: int) -> float:
+    """Length [m] of the edges of so many equal triangles with three equal sides."""
+    return float(np.sqrt(area / triangles * 4 / np.sqrt(3)))
+
+
+def _finest(lengths: FloatArray, triangles: int, area: float) -> tuple[tuple[int, int], float, int]:
+    """Edges along both sides of a rectangle, how far inner points keep from its rim in all, and how many there are.
 
     A triangulated disc with b points on its rim and i inside has 2 i + b − 2 triangles (Euler).
     """
-    step = np.sqrt(area / triangles * 4 / np.sqrt(3))
+    step = _edge(area, triangles)
     nx, ny = (max(1, round(float(length / step))) for length in lengths)
     while nx + ny > 2 and 2 * (nx + ny) - 2 > triangles:
         nx, ny = (nx - 1, ny) if nx > ny else (nx, ny - 1)
-    x, y = np.arange(nx) / nx - 0.5, np.arange(ny) / ny - 0.5
-    low, high = np.full(nx, -0.5), np.full(ny, 0.5)
-    rim = np.concatenate([np.c_[x, low], np.c_[high, y], np.c_[-x, -low], np.c_[-high, -y]])
-    return np.asarray(rim * lengths), max(0, round((triangles + 2 - len(rim)) / 2))
+    rim = 2 * (nx + ny)
+    return (nx, ny), 0.5 * lengths.min() / rim, max(0, round((triangles + 2 - rim) / 2))
+
+
+def _rim(
+    lengths: FloatArray, finest: tuple[int, int], to_space: Callable[[FloatArray], FloatArray], grading: Grading
+) -> FloatArray:
+    """Points of a rectangle's rim, with so many edges along its sides where they are finest."""
+
+    def side(turn: int, place: FloatArray) -> FloatArray:
+        along, end = place - 0.5, np.full(len(place), 0.5)
+        return np.asarray(
+            (np.c_[along, -end], np.c_[end, along], np.c_[-along, end], np.c_[-end, -along])[turn] * lengths
+        )
+
+    places = [
+        grading.places(lambda p, turn=turn: to_space(side(turn, p)), finest[turn % 2])  # type: ignore[misc]
+        for turn in range(4)
+    ]
+    return np.concatenate([side(turn, place) for turn, place in enumerate(places)])
 
 
 def _delaunay(plan: FloatArray) -> IntArray:
@@ -164,8 +195,10 @@ def _delaunay(plan: FloatArray) -> IntArray:
     return _sorted(found[np.abs(twice) > 1e-9 * longest])
 
 
-def _relaxed(rim: FloatArray, inner: FloatArray, to_space: Callable[[FloatArray], FloatArray]) -> Surface:
-    """Triangulate in the plan and move inner points to the middle of their triangles, by area in space.
+def _relaxed(
+    rim: FloatArray, inner: FloatArray, to_space: Callable[[FloatArray], FloatArray], grading: Grading
+) -> Surface:
+    """Triangulate in the plan and move inner points to the middle of their triangles, by area over that wanted.
 
     `to_space` must keep angles roughly (a conformal map): Delaunay triangles are good in the plan only.
     """
@@ -175,8 +208,11 @@ def _relaxed(rim: FloatArray, inner: FloatArray, to_space: Callable[[FloatArray]
         triangles = _delaunay(plan)
         corner = to_space(plan)[triangles]
         area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+        area /= grading.coarseness(corner.mean(axis=1)) ** 2
         plan[fixed:] = _middle(triangles, plan[triangles].mean(axis=1), area, plan)[fixed:]
-    return Surface(to_space(plan), _delaunay(plan))
+    surface = Surface(to_space(plan), _delaunay(plan))
+    grading.check(surface.vertices)
+    return surface
 
 
 def _middle(triangles: IntArray, centre: FloatArray, weight: FloatArray, vertices: FloatArray) -> FloatArray:
@@ -193,6 +229,8 @@ def abdominal_wall(
     opening_radius: float,
     sac_depth: float,
     seed: int = 0,
+    reach: Corners | None = None,
+    growth: float = GROWTH,
 ) -> Surface:
     """The inner side of an abdominal wall with a hernia: a flat sheet whose middle is pushed out into a sac.
 
@@ -211,6 +249,8 @@ def abdominal_wall(
         From the flat sheet to the bottom of the sac [m]; 0.5 to 6 times the opening's radius.
     seed : int
         Another seed gives another mesh of the same wall.
+    reach, growth
+        See the module.
 
     Raises
     ------
@@ -252,19 +292,28 @@ def abdominal_wall(
 
     flat = float(lengths.prod()) - np.pi * edge**2
     rng = np.random.default_rng(seed)
-    rim, inner = _rim(lengths, triangles, flat + area[-1])
+    grading = Grading(place, reach, growth, _edge(flat + area[-1], triangles))
+    count, margin, inner = _finest(lengths, triangles, flat + area[-1])
     in_sac = round(inner * area[-1] / (flat + area[-1]))
     spread = _spread(in_sac, 2, rng)
     distance = np.interp(spread[:, 0] * area[-1], area, rho)
     around = 2 * np.pi * spread[:, 1]
     sac = distance[:, None] * np.column_stack([np.cos(around), np.sin(around)])
     many = int(2 * (inner - in_sac) * lengths.prod() / flat) + 100
-    sheet = (_spread(many, 2, rng) - 0.5) * (lengths - 0.5 * lengths.min() / len(rim))
+    sheet = (_spread(many, 2, rng) - 0.5) * (lengths - margin)
     sheet = sheet[np.linalg.norm(sheet, axis=1) > edge][: inner - in_sac]
-    return _relaxed(rim, np.concatenate([sac, sheet]), to_space)
+    start = np.concatenate([sac, sheet])
+    start = grading.thinned(start, to_space(start), rng)
+    return _relaxed(_rim(lengths, count, to_space, grading), start, to_space, grading)
 
 
-def ellipsoid(radii: float | Sequence[float], triangles: int, seed: int = 0) -> Surface:
+def ellipsoid(
+    radii: float | Sequence[float],
+    triangles: int,
+    seed: int = 0,
+    reach: Corners | None = None,
+    growth: float = GROWTH,
+) -> Surface:
     """A closed organ round the origin, triangulated irregularly.
 
     Parameters
@@ -275,6 +324,8 @@ def ellipsoid(radii: float | Sequence[float], triangles: int, seed: int = 0) -> 
         How many, at least 20, more for a slim shape; an odd number gives one more.
     seed : int
         Another seed gives another mesh of the same ellipsoid.
+    reach, growth
+        See the module.
 
     Raises
     ------
@@ -310,17 +361,20 @@ def ellipsoid(radii: float | Sequence[float], triangles: int, seed: int = 0) -> 
         stretch = half.prod() * np.linalg.norm(sphere / half, axis=1)
         found = sphere[stretch > spread[:, 2] * weight_max][:n]
         many *= 2
-    vertices = found * half
+    grading = Grading("ellipsoid", reach, growth, _edge(float(4 * np.pi * stretch.mean()), triangles))
+    vertices = grading.thinned(found * half, found * half, rng)
     for _ in range(RELAXATIONS):
         hull = _swapped(vertices, _hull(vertices))
         corner = vertices[hull]
         area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+        area /= grading.coarseness(corner.mean(axis=1)) ** 2
         vertices = lifted(_middle(hull, lifted(corner.mean(axis=1)), area, vertices))
     surface = Surface(vertices, _swapped(vertices, _hull(vertices)))
     full = 4 / 3 * np.pi * half.prod()
     rule = "must suffice for half the ellipsoid's volume"
     way_out = "Ask for more triangles or for rounder radii"
     _require(volume(surface) > 0.5 * full, "ellipsoid, triangles", rule, triangles, way_out)
+    grading.check(surface.vertices)
     return surface
 
 

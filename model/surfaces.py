@@ -7,8 +7,10 @@ import numpy as np
 
 from tissue_contact import geometry, shapes
 from tissue_contact.errors import InputError
+from tissue_contact.fields import longest_edges
 from tissue_contact.geometry import FloatArray, Surface
-from tissue_contact.scene import Instrument, Rigid, Tissue
+from tissue_contact.grading import distance_to_box
+from tissue_contact.scene import Graded, Instrument, Rigid, Tissue
 
 
 def rotation_matrix(quaternion: tuple[float, ...]) -> FloatArray:
@@ -69,6 +71,16 @@ def surface_of(body: Tissue | Instrument | Rigid, folder: Path, place: str = "sc
     if body.flip:
         surface = Surface(surface.vertices, surface.triangles[:, ::-1], surface.part, surface.axes)
     return _placed(surface, *placement(body))
+
+
+def touched_edge(body: Tissue | Instrument | Rigid, surface: Surface) -> float:
+    """Longest edge [m] of the surface of a body, of a graded one of the triangles with a corner within the reach."""
+    edges = longest_edges(surface)
+    if not isinstance(body.shape, Graded) or body.shape.reach is None:
+        return float(edges.max())
+    rotation, shift = placement(body)
+    within = distance_to_box((surface.vertices - shift) @ rotation, body.shape.reach) == 0.0
+    return float(edges[within[surface.triangles].any(axis=1)].max())
 
 
 def _placed(surface: Surface, rotation: FloatArray, shift: FloatArray) -> Surface:

@@ -50,7 +50,10 @@ start_position = [-0.005, 0.0, 0.005]
 """
 MESH = 'mesh = "{name}"\nopen_surface = true'
 PRESET = 'preset = "{}"'
-IRREGULAR = 'shape = {{ kind = "patch", size = [0.06, 0.06], triangles = {n}, curvature_radius = 0.4, seed = 1 }}'
+PATCH = 'shape = {{ kind = "patch", size = [0.06, 0.06], triangles = 6000, curvature_radius = 0.4, seed = 1{more} }}'
+IRREGULAR = PATCH.format(more="")
+# As fine as that where the capsule gets to: within two radii of the line that its tip slides along.
+GRADED = PATCH.format(more=", reach = [[-0.01, -0.005, -0.01], [0.01, 0.005, 0.0]]")
 CONTACT = """
 [[contact]]
 stiffness_per_area = 1e8
@@ -192,20 +195,16 @@ def measure(levels: Sequence[str], say: Callable[[str], None]) -> dict[str, Any]
         folder = Path(name)
         say("FMI overhead")
         results["overhead"] = fmi_overhead(folder)
-        for level in levels:
-            say(f"{level} triangles")
-            mesh = write_sheet(level, folder)
-            results[level] = level_result(on_sheet(mesh, PRESET.format("accurate")), folder)
-            for preset in sorted(PRESETS.keys() - {"accurate"}):
-                say(f"{level} triangles, preset {preset}")
-                text = on_sheet(mesh, PRESET.format(preset))
-                results[f"{level} {preset}"] = level_result(text, folder, parts=False)
-        tissue = IRREGULAR.format(n=6000)
-        for what, contact in (("6K irregular", CONTACT), ("6K irregular, no contact declared", "")):
+        tissues = {level: MESH.format(name=write_sheet(level, folder).name) for level in levels}
+        tissues |= {"6K irregular": IRREGULAR, "6K graded": GRADED}
+        cases = [(level, "accurate", CONTACT) for level in tissues]
+        cases += [(level, preset, CONTACT) for level in tissues for preset in sorted(PRESETS.keys() - {"accurate"})]
+        cases += [("6K irregular", "accurate", "")]
+        for level, preset, contact in cases:
+            what = level + (f" {preset}" if preset != "accurate" else "") + ("" if contact else ", no contact declared")
             say(what)
-            results[what] = level_result(
-                SCENE.format(solver=PRESET.format("accurate"), tissue=tissue, contact=contact), folder
-            )
+            text = SCENE.format(solver=PRESET.format(preset), tissue=tissues[level], contact=contact)
+            results[what] = level_result(text, folder, parts=preset == "accurate")
     return results
 
 

@@ -40,6 +40,19 @@ def assembly_of(sheet: Path, solver: str = bench.PRESET.format("accurate"), cont
     return assemble(parse_scene(bench.on_sheet(sheet, solver, contact).encode(), sheet.parent))
 
 
+def graded_assembly(folder: Path) -> Assembly:
+    """The bench's scene with the preset fast on a sheet that is graded, in the place of one of equal cells."""
+    solver = bench.PRESET.format("fast")
+    text = bench.SCENE.format(solver=solver, tissue=bench.GRADED, contact=bench.CONTACT)
+    return assemble(parse_scene(text.encode(), folder))
+
+
+def lowest_of(assembly: Assembly) -> Real:
+    """Height [m] of the tissue's lowest vertex at every millisecond of the bench's motion, from the first on."""
+    instance = Instance(assembly)
+    return np.array([float(instance.state.z.min()) for _ in run(instance, bench.poses(), bench.STEP)])
+
+
 def record(sheet: Path, every: int) -> PeerScene:
     """Run the bench's motion and keep where the tissue is, at every so many of the steps in contact."""
     assembly = assembly_of(sheet, bench.PRESET.format("balanced"))

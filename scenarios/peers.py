@@ -27,7 +27,15 @@ from tissue_contact.fmu.native import drive, host_platform
 from tissue_contact.kernels.layout import Real
 from tissue_contact.presets import PRESETS
 from tissue_contact.scenarios import bench, peer_detection, peer_step
-from tissue_contact.scenarios.peer_scene import PRESSED, PeerScene, assembly_of, moved_alike, record
+from tissue_contact.scenarios.peer_scene import (
+    PRESSED,
+    PeerScene,
+    assembly_of,
+    graded_assembly,
+    lowest_of,
+    moved_alike,
+    record,
+)
 from tissue_contact.settings import check_word
 
 STEPPED = "6K"  # the sheet that is run, and on which steps are compared
@@ -36,6 +44,7 @@ THINNED = {"1.5K": 1, "6K": 1, "24K": 2, "96K": 5}  # of these moments, how many
 ROUNDS = 3
 LIMIT = 120.0  # s, for one of them in one round
 OURS = "tissue-contact"
+GRADED = "graded"  # as fine as the sheet where the rod gets to, coarser beyond
 # What a name stands for in the tables, and the package whose version is told
 TOLD: dict[str, tuple[str, str]] = {
     OURS: ("tissue-contact, exact pairs", "tissue-contact"),
@@ -45,6 +54,7 @@ TOLD: dict[str, tuple[str, str]] = {
     "coal": ("coal, OBBRSS refitted", "coal"),
     "python-fcl": ("FCL, rebuilt", "python-fcl"),
     **{preset: (f"tissue-contact, FMU, preset {preset}", "tissue-contact") for preset in PRESETS},
+    GRADED: ("tissue-contact, FMU, preset fast, sheet graded", "tissue-contact"),
     "edge loop": ("plain loop over the springs, 22 substeps", "numba"),
     "pypbd": ("pyPBD, XPBD, 10 iterations, no contact", "pypbd"),
     "mujoco": ("MuJoCo flex, discrete, CG", "mujoco"),
@@ -155,12 +165,15 @@ def stepping(scene: PeerScene, left_out: dict[str, str], say: Say) -> dict[str, 
         say(f"building: {preset}")
         assembly = assembly_of(scene.sheet, bench.PRESET.format(preset))
         fmus[preset] = build(assembly, scene.sheet.with_name(f"{preset}.fmu"), [host_platform()])
+    graded = graded_assembly(scene.sheet.parent)
+    fmus[GRADED] = build(graded, scene.sheet.with_name(f"{GRADED}.fmu"), [host_platform()])
+    lowest = dict.fromkeys(PRESETS, scene.lowest[PRESSED]) | {GRADED: lowest_of(graded)[PRESSED]}
     touching = slice(int(scene.moments[0]) - 1, int(scene.moments[-1]))
 
     def work(name: str) -> tuple[Real, int, float]:
         if name in fmus:
             _, ns = drive(fmus[name], bench.poses()[1:], bench.STEP)
-            return ns[touching] / 1000, PRESSED, float(scene.lowest[PRESSED])
+            return ns[touching] / 1000, PRESSED, float(lowest[name])
         result: tuple[Real, int, float] = apart(peer_step.measure, name, scene)
         return result
 

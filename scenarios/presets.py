@@ -33,7 +33,8 @@ from tissue_contact.study.levers import Edit, Option
 
 Say = Callable[[str], None]
 
-SHEET = "bench 6K"  # the sheet of `make bench` on which a step has a budget; no scenario, so nothing is expected of it
+# Sheets of `make bench`: that on which a step has a budget, and one as fine where it is touched. Nothing is expected.
+SHEETS = {"bench 6K": "6K sheet", "bench graded": "graded sheet"}
 # Every preset is one of these.
 CANDIDATES = [*levers.PROJECTIVE, BEYOND_SPRINGS]
 SAFETIES = (0.2, 0.1)  # of the two references, shares of the stable limit of symplectic Euler
@@ -80,13 +81,15 @@ def cases(folder: Path, say: Say) -> list[Case]:
             continue
         job = replace(job_of(scenario, scenario.scene.source), expect=scenario.expect)
         found.append(Case(name, scenario.scene, job))
-    mesh = bench.write_sheet(bench.COMPARED, folder)
-    scene = parse_scene(bench.on_sheet(mesh).encode(), folder.resolve(), SHEET)
+    tissues = bench.MESH.format(name=bench.write_sheet(bench.COMPARED, folder).name), bench.GRADED
     poses = bench.poses()
     times, steps = communication_points(bench.STEP * (len(poses) - 1), bench.STEP)
     names = [f"instrument.position[{k}]" for k in (1, 2, 3)] + [f"instrument.orientation[{k}]" for k in (1, 2, 3, 4)]
     inputs = dict(zip(names, poses.T.copy(), strict=True))
-    found.append(Case(SHEET, scene, Job(scene.source, scene.folder, SHEET, times, steps, inputs)))
+    for name, tissue in zip(SHEETS, tissues, strict=True):
+        text = bench.SCENE.format(solver="", tissue=tissue, contact=bench.CONTACT)
+        scene = parse_scene(text.encode(), folder.resolve(), name)
+        found.append(Case(name, scene, Job(scene.source, scene.folder, name, times, steps, inputs)))
     return found
 
 

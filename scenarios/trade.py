@@ -20,7 +20,7 @@ from tissue_contact.fmu import native
 from tissue_contact.fmu.build import build
 from tissue_contact.fmu.compile import shared_library
 from tissue_contact.pool import Kept, Spread, in_line, pool, problem_of
-from tissue_contact.scenarios.outcome import FloatArray, judge
+from tissue_contact.scenarios.outcome import FloatArray, Trace, judge
 from tissue_contact.scenarios.run import (
     bar_of,
     communication_points,
@@ -167,6 +167,7 @@ def follow(job: Job) -> dict[str, Any]:
     return {
         "rows": base64.b64encode(rows.astype("<f4").tobytes()).decode(),  # single precision, 1e-7, is plenty
         "bodies": bodies,
+        "touched": [_touched(trace, body) for body in bodies],
         # Processor time of all steps: other work on the machine lengthens it little.
         "us": 1e6 * taken / len(job.steps),
         "substeps": int(trace.column("solver.substeps").max()),
@@ -174,6 +175,12 @@ def follow(job: Job) -> dict[str, Any]:
         "failed": [v.told for v in judge(job.expect, trace) if not v.holds],
         "refusal": "",
     }
+
+
+def _touched(trace: Trace, body: str) -> list[list[float]] | None:
+    """Least and greatest coordinates [m] of the points of contact of a body; None where it touched nothing."""
+    points = trace.vector(f"{body}.contactPoint")[trace.column(f"{body}.depth") > 0.0]
+    return [points.min(axis=0).tolist(), points.max(axis=0).tolist()] if len(points) else None
 
 
 def bodies_of(names: Sequence[str]) -> list[str]:
@@ -352,7 +359,9 @@ class _Search:
                 self.remarks.append(
                     f"The response of {contact.name} stays: its force is not alone on one instrument against a tissue."
                 )
-        return Grounds(self._known.spacing, self._known.edge, area)
+        boxes = dict(zip(own["bodies"], own["touched"], strict=True))
+        touched = {c.name: np.array(boxes[c.between[1]]) for c in scene.contact if boxes[c.between[1]]}
+        return replace(self._known, area=area, touched=touched)
 
     def _check_touched(self, rows: FloatArray) -> None:
         if not np.any(rows[..., FORCE]):

@@ -131,7 +131,7 @@ def test_every_preset_is_among_what_is_measured():
 
 def test_a_scenario_is_measured_only_with_what_it_can_have(tmp_path):
     found = {case.name: case for case in measurement.cases(tmp_path, lambda text: None)}
-    assert {"press", "retract", measurement.SHEET} <= set(found) and "clash" not in found
+    assert {"press", "retract", *measurement.SHEETS} <= set(found) and "clash" not in found
     assert found["press"].candidates == measurement.CANDIDATES
     assert found["retract"].candidates == [BEYOND_SPRINGS]
     fast = found["press"].edited(PRESETS["fast"].keys).scene().solver

@@ -129,6 +129,21 @@ WRONG = {
     "fixed index": ("areal", "fixed = [3, -1]\nareal", ["tissue[0].fixed[1]", "whole number", "found -1"]),
     "fixed number": ("areal", "fixed = 3\nareal", ["tissue[0].fixed", "a list", "found 3", "a box"]),
     "fixed box key": ("areal", "fixed = { bx = [] }\nareal", ["tissue[0].fixed.bx", "spelling is box"]),
+    "growth alone": (
+        "triangles = 600",
+        "triangles = 600, growth = 0.2",
+        ["tissue[0].shape.growth", "all over", "Give reach"],
+    ),
+    "reach of rows": (
+        "triangles = 600",
+        "triangles = 600, irregular = false, reach = [[0, 0, 0], [1, 1, 1]]",
+        ["tissue[0].shape.reach", "rows of equal triangles", "Remove"],
+    ),
+    "reach order": (
+        "triangles = 600",
+        "triangles = 600, reach = [[0, 0, 1], [1, 1, 0]]",
+        ["tissue[0].shape.reach:", "least", "[0.0, 0.0, 1.0]"],
+    ),
     "fixed box order": (
         "areal",
         "fixed = { box = [[0, 0, 1], [1, 1, 0]] }\nareal",

@@ -206,6 +206,76 @@ def test_any_round_ellipsoid_is_closed(count, seed):
     assert len(surface.triangles) == count + count % 2
 
 
+# --- grading ------------------------------------------------------------------------------------------------
+
+GRADED = {
+    "patch": (
+        lambda **own: shapes.patch((0.06, 0.06), 6000, 0.4, 1, **own),
+        [[-0.009, -0.004, -0.01], [0.009, 0.004, 0]],
+    ),
+    "abdominal_wall": (
+        lambda **own: shapes.abdominal_wall((0.06, 0.06), 4500, 0.01, 0.018, 7, **own),
+        [[-0.01, -0.01, -0.02], [0.01, 0.01, -0.01]],
+    ),
+    "ellipsoid": (
+        lambda **own: shapes.ellipsoid((0.02, 0.02, 0.005), 2500, 3, **own),
+        [[-0.005, -0.005, 0], [0.005, 0.005, 0.01]],
+    ),
+}
+
+
+def away_from(surface, box):
+    """Distance of the middles of all triangles from a box."""
+    middle = surface.vertices[surface.triangles].mean(axis=1)
+    return np.linalg.norm(np.maximum(np.maximum(box[0] - middle, middle - box[1]), 0), axis=1)
+
+
+@pytest.mark.parametrize("growth", [0.1, 0.3, 0.5])
+@pytest.mark.parametrize("kind", GRADED)
+def test_a_graded_mesh_is_as_fine_as_asked_at_every_distance(kind, growth):
+    make, box = GRADED[kind]
+    box = np.array(box)
+    uniform, surface = make(), make(reach=box.tolist(), growth=growth)
+    if kind == "ellipsoid":
+        assert_closed(surface)
+    else:
+        assert_sheet(surface, (0.06, 0.06))
+    assert smallest_angle(surface) > 15
+    area, distance = geometry.triangle_areas(surface), away_from(surface, box)
+    finest = np.median(geometry.triangle_areas(uniform))
+    edge = np.sqrt(finest * 4 / np.sqrt(3))
+    over = area / (finest * (1 + growth * distance / edge) ** 2)
+    far = np.quantile(distance, [0.5, 0.8])
+    for near, beyond in ((-1, 0), (0, far[0]), (far[0], far[1]), (far[1], np.inf)):
+        # A middle of few triangles: the coarsest ring, at growth 0.5, has some forty.
+        assert 0.75 < np.median(over[(distance > near) & (distance <= beyond)]) < 1.35, (near, beyond)
+    # as many as the wanted areas fill
+    expected = finest / np.sqrt(3) * 4 / edge**2 * geometry.triangle_areas(uniform) / finest
+    expected = (expected / (1 + growth * away_from(uniform, box) / edge) ** 2).sum()
+    assert len(surface.triangles) == pytest.approx(expected, rel=0.1)
+    assert len(surface.triangles) < 0.5 * len(uniform.triangles)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.floats(0.01, 1), st.floats(0.01, 1), st.integers(2, 400), st.integers(0, 2**32 - 1),
+    st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(0.01, 0.5),
+)  # fmt: skip
+def test_any_graded_patch_covers_its_rectangle_once(length, width, count, seed, x, y, growth):
+    corner = [[x * length, y * width, 0], [0.5 * length, 0.5 * width, 0]]  # which holds a corner of the patch
+    surface = shapes.patch((length, width), count, seed=seed, reach=corner, growth=growth)
+    assert_sheet(surface, (length, width))
+    assert geometry.triangle_normals(surface)[:, 2] == pytest.approx(1)
+    assert geometry.triangle_areas(surface).sum() == pytest.approx(length * width)
+
+
+def test_a_reach_around_all_of_it_leaves_the_mesh_alone():
+    for make, _ in GRADED.values():
+        uniform, graded = make(), make(reach=[[-1, -1, -1], [1, 1, 1]])
+        assert np.array_equal(uniform.triangles, graded.triangles)
+        assert graded.vertices == pytest.approx(uniform.vertices, abs=1e-12)  # places along the rim only round
+
+
 # --- the same again -----------------------------------------------------------------------------------------
 
 
@@ -340,6 +410,14 @@ def test_hook():
         (lambda: shapes.patch(0.1, 10.5), "patch, triangles"),
         (lambda: shapes.patch(0.1, 100, 0.05), r"curvature_radius: .*\(0.07071 m\)"),
         (lambda: shapes.patch(0.1, 100, float("nan")), "curvature_radius"),
+        (lambda: shapes.patch(0.1, 100, reach=[[0, 0], [1, 1]]), "patch, reach: .*corner of a box.*x, y, z"),
+        (lambda: shapes.patch(0.1, 100, reach=[[1, 0, 0], [0, 1, 0]]), "patch, reach: .*corner of a box"),
+        (
+            lambda: shapes.patch(0.1, 100, reach=[[0, 0, 1], [1, 1, 2]]),
+            r"patch, reach: .*hold a vertex.*\[-0.05, -0.05, 0\]",
+        ),
+        (lambda: shapes.patch(0.1, 100, reach=[[0, 0, 0], [1, 1, 1]], growth=0.6), "growth: .*at most 0.5; found 0.6"),
+        (lambda: shapes.patch(0.1, 100, reach=[[0, 0, 0], [1, 1, 1]], irregular=False), "patch, reach: .*left out"),
         (lambda: shapes.ellipsoid((0.1, 0.1), 100), "ellipsoid, size|ellipsoid, radii"),
         (lambda: shapes.ellipsoid(0.1, 19), "ellipsoid, triangles: .*at least 20"),
         (lambda: shapes.ellipsoid((1, 1, 0.01), 100), "ellipsoid, radii: .*20 times"),

@@ -4,6 +4,7 @@ import csv
 import functools
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from rich.console import Console
 from scenes import write_mesh
 
 from tissue_contact.assemble import assemble
+from tissue_contact.errors import InputError
 from tissue_contact.fields import CUTS_MAX, longest_edges
 from tissue_contact.scenarios.scenario import SHIPPED
 from tissue_contact.scene import Scene, parse_scene, read_scene
@@ -34,7 +36,7 @@ from tissue_contact.study.front import (
 )
 from tissue_contact.study.levers import Edit, Grounds, Option
 from tissue_contact.study.trade_report import csv_text, figure, ordered, raw, table
-from tissue_contact.surfaces import surface_of
+from tissue_contact.surfaces import surface_of, touched_edge
 
 WHOLE = """
 name = "whole"
@@ -58,7 +60,7 @@ def press() -> Scene:
 
 def known_of(scene: Scene, **area: float) -> Grounds:
     found = _grounds(scene.source, scene.folder)
-    return Grounds(found.spacing, found.edge, area)
+    return replace(found, area=area)
 
 
 @functools.cache
@@ -76,8 +78,10 @@ def chosen(options: list[Option], lever: str) -> dict[str, Option]:
 
 def test_every_option_is_another_scene_and_the_scene_itself_is_none():
     scene = press()
-    options = levers.options(scene, known_of(scene, contact=6e-6))
+    known = replace(known_of(scene, contact=6e-6), touched={"contact": np.array([[-0.006, 0, -0.008], [0.006, 0, 0]])})
+    options = levers.options(scene, known)
     made = [levers.variant(scene, (o,)) for o in options]
+    assert len(set(options)) == len(options), "what was tried is known by them"
     dumps = [m.model_dump_json() for m in made] + [scene.model_dump_json()]
     assert len(set(dumps)) == len(dumps) and {o.lever for o in options} == set(levers.LEVERS)
     # What press has already: symplectic Euler with a safety of 0.95, detection that follows the motion.
@@ -166,6 +170,61 @@ def test_the_reference_is_finer_in_all_that_it_can_be():
     assert (finer.solver.safety, finer.solver.detection_period) == (0.95, 0.00025)
     edge = longest_edges(surface_of(scene.tissue[0], Path())).max()
     assert known.edge["contact"] == edge and known.spacing["contact"] >= edge / CUTS_MAX
+
+
+def test_a_mesh_is_fine_around_what_was_touched():
+    scene = press()
+    known = replace(known_of(scene), touched={"contact": np.array([[-0.006, -0.001, -0.008], [0.006, 0.001, 0.0]])})
+    gradings = chosen(levers.options(scene, known), "grading")
+    assert len(gradings) == len(levers.GRADINGS), "it is as fine all over as it is"
+    made = [levers.variant(scene, (option,)).tissue[0].shape for option in gradings.values()]
+    half = known.half["contact"]
+    assert half == pytest.approx(0.0025, rel=0.03), "that of the capsule's mesh"
+    for shape, (margin, growth) in zip(made, levers.GRADINGS, strict=True):
+        low, high = np.array(shape.reach)
+        assert low == pytest.approx(np.array([-0.006, -0.001, -0.008]) - margin * half, rel=1e-3)
+        assert high == pytest.approx(np.array([0.006, 0.001, 0.0]) + margin * half, rel=1e-3)
+        assert shape.growth == growth and shape.triangles == 6000
+        assert (
+            len(surface_of(levers.changed(scene, []).tissue[0].model_copy(update={"shape": shape}), Path()).triangles)
+            < 3000
+        )
+    graded = levers.variant(scene, (next(iter(gradings.values())),))
+    assert "as fine all over" in chosen(levers.options(graded, known), "grading")
+    finer = levers.changed(graded, levers.reference(graded, known, 16.0)).tissue[0].shape
+    assert finer.growth == pytest.approx(graded.tissue[0].shape.growth / 4), "every edge is a quarter as long"
+    assert finer.triangles == 96000
+    assert not chosen(levers.options(scene, known_of(scene)), "grading"), "nobody knows what is touched"
+
+
+def test_a_reach_turns_with_the_tissue_and_held_or_regular_meshes_stay():
+    turned = f"{PATCH}\nrotation = [0.7071067811865476, 0.0, 0.0, 0.7071067811865476]\nposition = [0.1, 0.2, 0.3]"
+    scene = parse_scene(WHOLE.format(source=turned).encode(), Path())
+    touched = {"contact": np.array([[0.1, 0.195, 0.299], [0.102, 0.2, 0.3]])}  # x of the world is -y of the shape
+    known = replace(known_of(scene), touched=touched)
+    option = next(iter(chosen(levers.options(scene, known), "grading").values()))
+    low, high = np.array(levers.variant(scene, (option,)).tissue[0].shape.reach)
+    margin = 2 * known.half["contact"]
+    assert low == pytest.approx([-0.005 - margin, -0.002 - margin, -0.001 - margin], rel=1e-3)
+    assert high == pytest.approx([margin, margin, margin], rel=1e-3)
+    held, rows = f"{PATCH}\nfixed = [0, 1]", PATCH.replace("triangles", "irregular = false, triangles")
+    for source in (held, rows):
+        scene = parse_scene(WHOLE.format(source=source).encode(), Path())
+        assert not chosen(levers.options(scene, replace(known_of(scene), touched=touched)), "grading")
+
+
+def test_points_are_as_close_as_a_graded_mesh_is_fine_where_it_is_touched():
+    """Its coarse edges, which nothing gets to, do not forbid it."""
+    near = "reach = [[-0.002, -0.002, 0], [0.002, 0.002, 0]]"
+    contact = "[[contact]]\nstiffness_per_area = 1e7\nquadrature_spacing = {}"
+    text = WHOLE[: WHOLE.index("[[contact]]")].format(source=PATCH.replace("triangles", f"{near}, triangles"))
+    scene = parse_scene(text.encode(), Path())
+    surface = surface_of(scene.tissue[0], Path())
+    edge = touched_edge(scene.tissue[0], surface)
+    assert edge < 0.75 * longest_edges(surface).max()
+    assemble(parse_scene((text + contact.format(1.01 * edge / CUTS_MAX)).encode(), Path()))
+    with pytest.raises(InputError, match="cut an edge of a triangle"):
+        assemble(parse_scene((text + contact.format(0.9 * edge / CUTS_MAX)).encode(), Path()))
 
 
 def test_levers_are_set_anew_in_their_order_and_contradictions_are_no_scenes():

@@ -6,18 +6,20 @@ A change is an edit of the scene file, so that what was measured and what is wri
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any, NamedTuple
 
+import numpy as np
 import tomlkit
 
 from tissue_contact.bodies import spacing_of
 from tissue_contact.errors import InputError
-from tissue_contact.fields import CUTS_MAX, longest_edges
+from tissue_contact.fields import CUTS_MAX
 from tissue_contact.geometry import FloatArray
 from tissue_contact.presets import OF_PROJECTIVE, PRESETS, Preset
-from tissue_contact.scene import Contact, Instrument, Rigid, Scene, Tissue, parse_scene
+from tissue_contact.scene import Contact, Graded, Instrument, Rigid, Scene, Tissue, parse_scene
 from tissue_contact.settings import check_word, setting
-from tissue_contact.surfaces import surface_of
+from tissue_contact.surfaces import placement, surface_of, touched_edge
 
 SAFETIES = (0.95, 0.7, 0.5, 0.25)  # of symplectic Euler, shares of its stable limit
 IMPLICIT_SUBSTEPS = (1, 2, 4)
@@ -25,6 +27,8 @@ PROJECTIVE = (PRESETS["fast"], PRESETS["balanced"], *(Preset("projective_dynamic
 MESH_FACTORS = (1 / 8, 1 / 4, 1 / 2, 2, 4)  # on the number of triangles
 SPACING_FACTORS = (1 / 2, 2, 4)
 PERIOD_FACTORS = (1 / 4, 4)
+# How far a mesh stays fine around what is touched, over half of the thinnest part of what touches it, and its growth.
+GRADINGS = ((2.0, 0.3), (4.0, 0.3), (4.0, 0.15))
 # `oobb_literal` and the raw sum over pairs are there to compare with the thesis, not to be chosen.
 RESPONSES: dict[str, dict[str, Any]] = {
     "hull": {"response": "hull"},
@@ -62,24 +66,29 @@ class Grounds:
     ----------
     spacing : of its points [m]
     edge : longest edge of the surface that its points lie on [m]
+    half : half of the thinnest part of its bodies [m]
     area : what bears its force [m²]; only of those that `areas` can tell it of
+    touched : least and greatest of the points of contact of its second body [m], shape (2, 3); where there are any
     """
 
     spacing: Mapping[str, float]
     edge: Mapping[str, float]
+    half: Mapping[str, float]
     area: Mapping[str, float] = field(default_factory=dict)
+    touched: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 def grounds(scene: Scene, reach: FloatArray) -> Grounds:
     """What is known before a run; `reach` is half of the thinnest part of each contact [m]."""
     spacing, edge = {}, {}
-    for contact, half in zip(scene.contact, reach, strict=True):
+    thin = {contact.name: float(half) for contact, half in zip(scene.contact, reach, strict=True)}
+    for contact in scene.contact:
         if contact.is_field:
             first = _body(scene, contact.between[0])
-            edge[contact.name] = float(longest_edges(surface_of(first, scene.folder, scene.place)).max())
+            edge[contact.name] = touched_edge(first, surface_of(first, scene.folder, scene.place))
             # as fine as it is asked for, or as the mesh allows
-            spacing[contact.name] = max(spacing_of([contact], float(half)), edge[contact.name] / CUTS_MAX)
-    return Grounds(spacing, edge)
+            spacing[contact.name] = max(spacing_of([contact], thin[contact.name]), edge[contact.name] / CUTS_MAX)
+    return Grounds(spacing, edge, thin)
 
 
 def areas(scene: Scene, force: Mapping[str, FloatArray], depth: Mapping[str, FloatArray]) -> dict[str, float]:
@@ -209,6 +218,46 @@ def _mesh(scene: Scene, known: Grounds) -> Choices:
     return choices
 
 
+def _grading(scene: Scene, known: Grounds) -> Choices:
+    """Generated tissues as fine as they are only around what was touched, and all over."""
+    choices: Choices = {}
+    for margin, growth in GRADINGS:
+        edits = []
+        for i, _ in _gradable(scene):
+            tissue = scene.tissue[i]
+            boxes = [
+                _in_frame(tissue, known.touched[c.name]) + margin * known.half[c.name] * np.array([[-1.0], [1.0]])
+                for c in scene.contact
+                if c.between[0] == tissue.name and c.name in known.touched
+            ]
+            if boxes:
+                low, high = np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]
+                reach = tuple(tuple(_digits(x) for x in corner.tolist()) for corner in (low, high))
+                edits += [Edit(("tissue", i, "shape", "reach"), reach), Edit(("tissue", i, "shape", "growth"), growth)]
+        choices[f"edges growing by {growth:g} beyond {margin:g} half thicknesses around what is touched"] = edits
+    keys = ("reach", "growth")
+    choices["as fine all over"] = [Edit(("tissue", i, "shape", key), None) for i, _ in _gradable(scene) for key in keys]
+    return choices
+
+
+def _gradable(scene: Scene) -> list[tuple[int, Graded]]:
+    """Shapes that may be graded, with the places of their tissues: not where vertices are held by number."""
+    return [
+        (i, tissue.shape)
+        for i, tissue in enumerate(scene.tissue)
+        if isinstance(tissue.shape, Graded)
+        and not isinstance(tissue.fixed, tuple)
+        and getattr(tissue.shape, "irregular", True)
+    ]
+
+
+def _in_frame(tissue: Tissue, box: FloatArray) -> FloatArray:
+    """Box of the shape's frame around a box of the world [m], shape (2, 3)."""
+    rotation, shift = placement(tissue)
+    corners = (np.array(list(product(*box.T))) - shift) @ rotation
+    return np.array([corners.min(axis=0), corners.max(axis=0)])
+
+
 def _quadrature_spacing(scene: Scene, known: Grounds) -> Choices:
     choices: Choices = {}
     for factor in SPACING_FACTORS:
@@ -223,6 +272,7 @@ def _quadrature_spacing(scene: Scene, known: Grounds) -> Choices:
 
 LEVERS: dict[str, Callable[[Scene, Grounds], Choices]] = {
     "mesh": _mesh,
+    "grading": _grading,
     "integration": _integration,
     "response": _response,
     "quadrature_spacing": _quadrature_spacing,
@@ -327,6 +377,10 @@ def reference(scene: Scene, known: Grounds, factor: float) -> list[Edit]:
     finer, solver = math.sqrt(factor), scene.solver
     period = max(solver.detection_period / finer, setting(type(solver), "detection_period").minimum)
     edits = _finer(scene, factor)
+    for i, shape in _gradable(scene):
+        if shape.reach is not None:
+            growth = max(shape.growth / finer, setting(Graded, "growth").minimum)
+            edits.append(Edit(("tissue", i, "shape", "growth"), growth))
     keys = {
         "integrator": "symplectic_euler",
         **dict.fromkeys(OF_PROJECTIVE),
