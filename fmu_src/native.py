@@ -128,6 +128,7 @@ class Soak(NamedTuple):
     preemptions: np.ndarray  # how often it was taken off its core within it
     waits: np.ndarray  # how often it gave its core away
     faults: np.ndarray  # pages that were not there
+    processor_ns: np.ndarray  # processor time: of the wall time what nobody else had of the core, ns
     locked: bool  # the memory was, so that no page may go
 
 
@@ -138,8 +139,7 @@ def soak(fmu_path: Path, inputs: Real, h: float, repeats: int, core: int) -> Soa
     """
     result = np.frombuffer(_run(fmu_path, inputs, h, repeats=repeats, core=core), "<u8")
     steps = repeats * len(inputs)
-    step_ns, preemptions, waits, faults = result[: 4 * steps].reshape(4, steps)
-    return Soak(step_ns, preemptions, waits, faults, bool(result[4 * steps]))
+    return Soak(*result[: 5 * steps].reshape(5, steps), locked=bool(result[5 * steps]))
 
 
 def _run(

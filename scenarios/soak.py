@@ -47,11 +47,17 @@ def figures(ran: Soak, places: int) -> dict[str, Any]:
     late = ran.step_ns > LIMIT
     preempted, waited, faulted = (late & (count > 0) for count in (ran.preemptions, ran.waits, ran.faults))
     own = np.median(ran.step_ns.reshape(-1, places), axis=0)
-    values = np.percentile(ran.step_ns / 1000, list(PERCENTILES.values()))
+
+    def spread(ns: Real) -> dict[str, float]:
+        values = np.percentile(ns / 1000, list(PERCENTILES.values()))
+        return {name: round(float(value), 3) for name, value in zip(PERCENTILES, values, strict=True)}
+
     return {
         "steps": len(ran.step_ns),
         "memory locked": ran.locked,
-        "step": {name: round(float(value), 3) for name, value in zip(PERCENTILES, values, strict=True)},
+        "step": spread(ran.step_ns),
+        "processor time of a step": spread(ran.processor_ns),
+        "steps over 1 ms of processor time": int((ran.processor_ns > LIMIT).sum()),
         "slowest place of the motion, median over the repeats": round(float(own.max()) / 1000, 3),
         "steps over 1 ms": int(late.sum()),
         "of them preempted": int(preempted.sum()),

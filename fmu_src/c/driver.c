@@ -5,8 +5,8 @@
    JOB, little-endian: u64 steps, rows, n_starts, n_inputs, n_outputs, 1 + core to stay on or 0; f64 start time, h; u64
    value reference and f64 value of every start; u64 value references of the inputs, then of the outputs; f64
    inputs[rows][n_inputs].
-   RESULT: u64 nanoseconds[steps]; if a core is given, u64 preemptions[steps], waits[steps], page faults[steps] and
-   whether the memory was locked; f64 outputs[rows][n_outputs].
+   RESULT: u64 nanoseconds[steps]; if a core is given, u64 preemptions[steps], waits[steps], page faults[steps],
+   nanoseconds of processor time[steps] and whether the memory was locked; f64 outputs[rows][n_outputs].
    Row 0 of the inputs is also set in Initialization Mode. With more steps than rows the rows are taken again and again,
    and the outputs are of the last time. Exit code 1, with a message, if anything fails. */
 #ifndef _WIN32
@@ -33,8 +33,10 @@ static void *symbol(void *library, const char *name)
     memcpy(&out, &found, sizeof out);
     return out;
 }
-static uint64_t nanoseconds(void)
+#define CLOCK_MONOTONIC 0
+static uint64_t nanoseconds(int clock)
 {
+    (void)clock;
     LARGE_INTEGER now, per_second;
     QueryPerformanceCounter(&now);
     QueryPerformanceFrequency(&per_second);
@@ -51,10 +53,10 @@ static void *load(const char *path)
     return library;
 }
 static void *symbol(void *library, const char *name) { return dlsym(library, name); }
-static uint64_t nanoseconds(void)
+static uint64_t nanoseconds(clockid_t clock)
 {
     struct timespec now;
-    clock_gettime(CLOCK_MONOTONIC, &now);
+    clock_gettime(clock, &now);
     return (uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec;
 }
 #endif
@@ -65,8 +67,9 @@ static void fail(const char *what)
     exit(1);
 }
 
-/* What held the thread up so far: taken off its core, waited of its own accord, touched memory that was not there. */
-enum { PREEMPTIONS, WAITS, FAULTS, INTERRUPTIONS };
+/* What held the thread up so far: taken off its core, waited of its own accord, touched memory that was not there; and
+   the processor time [ns] that it had, without what other threads, and other machines on this one, had of its core. */
+enum { PREEMPTIONS, WAITS, FAULTS, PROCESSOR, INTERRUPTIONS };
 
 #ifdef __linux__
 #include <sched.h>
@@ -88,6 +91,7 @@ static void interruptions(uint64_t *so_far)
     so_far[PREEMPTIONS] = (uint64_t)usage.ru_nivcsw;
     so_far[WAITS] = (uint64_t)usage.ru_nvcsw;
     so_far[FAULTS] = (uint64_t)(usage.ru_minflt + usage.ru_majflt);
+    so_far[PROCESSOR] = nanoseconds(CLOCK_THREAD_CPUTIME_ID);
 }
 #else
 static uint64_t stay_on(uint64_t core)
@@ -220,11 +224,11 @@ static int run(int argc, char **argv)
             fail("fmi2SetReal");
         if (still)
             interruptions(so_far);
-        uint64_t before = nanoseconds();
+        uint64_t before = nanoseconds(CLOCK_MONOTONIC);
         watch(true);
         fmi2Status status = fmi2DoStep(c, begin + (double)k * h, h, fmi2True);
         watch(false);
-        spent[k] = nanoseconds() - before;
+        spent[k] = nanoseconds(CLOCK_MONOTONIC) - before;
         if (still) {
             interruptions(then);
             for (int i = 0; i < INTERRUPTIONS; i++)

@@ -28,7 +28,7 @@ MESH_FACTORS = (1 / 8, 1 / 4, 1 / 2, 2, 4)  # on the number of triangles
 SPACING_FACTORS = (1 / 2, 2, 4)
 PERIOD_FACTORS = (1 / 4, 4)
 # How far a mesh stays fine around what is touched, over half of the thinnest part of what touches it, and its growth.
-GRADINGS = ((2.0, 0.3), (4.0, 0.3), (4.0, 0.15))
+GRADINGS = ((2.0, 0.3), (3.0, 0.3), (3.0, 0.15))
 # `oobb_literal` and the raw sum over pairs are there to compare with the thesis, not to be chosen.
 RESPONSES: dict[str, dict[str, Any]] = {
     "hull": {"response": "hull"},
