@@ -139,7 +139,8 @@ def soak(fmu_path: Path, inputs: Real, h: float, repeats: int, core: int) -> Soa
     """
     result = np.frombuffer(_run(fmu_path, inputs, h, repeats=repeats, core=core), "<u8")
     steps = repeats * len(inputs)
-    return Soak(*result[: 5 * steps].reshape(5, steps), locked=bool(result[5 * steps]))
+    step_ns, preemptions, waits, faults, processor_ns = result[: 5 * steps].reshape(5, steps)
+    return Soak(step_ns, preemptions, waits, faults, processor_ns, bool(result[5 * steps]))
 
 
 def _run(

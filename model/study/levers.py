@@ -150,9 +150,8 @@ Choices = dict[str, list[Edit]]  # by label
 
 
 def _named(settings: Preset) -> str:
-    """Settings in words, with the preset that they are."""
-    names = [f" (preset {name})" for name, preset in PRESETS.items() if preset == settings]
-    return settings.words + "".join(names)
+    """The preset that settings are, or the settings in words."""
+    return next((f"preset {name}" for name, preset in PRESETS.items() if preset == settings), settings.words)
 
 
 def _integration(scene: Scene, known: Grounds) -> Choices:
@@ -234,7 +233,7 @@ def _grading(scene: Scene, known: Grounds) -> Choices:
                 low, high = np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]
                 reach = tuple(tuple(_digits(x) for x in corner.tolist()) for corner in (low, high))
                 edits += [Edit(("tissue", i, "shape", "reach"), reach), Edit(("tissue", i, "shape", "growth"), growth)]
-        choices[f"edges growing by {growth:g} beyond {margin:g} half thicknesses around what is touched"] = edits
+        choices[f"graded from {margin:g} half thicknesses on, growth {growth:g}"] = edits
     keys = ("reach", "growth")
     choices["as fine all over"] = [Edit(("tissue", i, "shape", key), None) for i, _ in _gradable(scene) for key in keys]
     return choices
