@@ -336,7 +336,8 @@ def run(
     _partial(output, scenario.name).unlink(missing_ok=True)
     outcome = Outcome(scenario, trace, summarise(trace), judge(scenario.expect, trace), [table])
     print_summary(outcome, Console())
-    for remark in too_deep(outcome.summary, scenario.scene, assembly().model.contact_reach):
+    deep = too_deep(outcome.summary, scenario.scene, assembly().model.contact_reach)
+    for remark in (*deep, *too_slow(outcome.summary, scenario)):
         console.print(remark, highlight=False, markup=False)
     if figures:
         from tissue_contact.scenarios.report import draw  # matplotlib takes a second
@@ -398,6 +399,16 @@ def too_deep(summary: Summary, scene: Scene, thickness: FloatArray) -> Iterator[
                 f"{name} went {1e3 * summary.deepest[name]:.2f} mm deep, and its thinnest part is {2e3 * half:.2f} mm "
                 f"thick: the tissue may pass through it. Raise the stiffness of {contact.name}"
             )
+
+
+def too_slow(summary: Summary, scenario: Scenario) -> Iterator[str]:
+    """A remark on a run whose steps took longer than the time that they are for."""
+    if summary.real_time_factor < 1.0:
+        name, budget = scenario.name, 0.5e6 * scenario.scene.solver.step
+        yield (
+            f"{name} is slower than real time. The presets balanced and fast take less (`--preset`); "
+            f"`tissue-contact tune {name} --budget-us {budget:g}` finds what errs least in half of the time"
+        )
 
 
 def print_summary(outcome: Outcome, console: Console) -> None:

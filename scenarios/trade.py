@@ -372,7 +372,7 @@ class _Search:
     def _combinations(self) -> list[Configuration]:
         """Configurations not yet tried: those near the front, each with an option that another of them has.
 
-        The most promising come first: by time and error together, as if what each change alone makes of them multiplied.
+        The most promising come first: by time times error, as if what each change alone makes of them multiplied.
         """
         points = self.points()
         near = front(points, self.request.measure, COMBINED)

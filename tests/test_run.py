@@ -6,6 +6,7 @@ import io
 import itertools
 import struct
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from tissue_contact.files import publish
 from tissue_contact.scenarios import run as run_module
 from tissue_contact.scenarios.outcome import Trace, check_names, judge, summarise, write_csv
 from tissue_contact.scenarios.report import CANVAS, Mesh, _rendered, history, picture, still
-from tissue_contact.scenarios.run import Interrupted, Outcome, communication_points, run, scene_key
+from tissue_contact.scenarios.run import Interrupted, Outcome, communication_points, run, scene_key, too_slow
 from tissue_contact.scenarios.scenario import Expectation, Scenario, read_scenario, shipped_names
 from tissue_contact.scenarios.stimulus import read_recording
 from tissue_contact.scene import parse_scene
@@ -173,6 +174,10 @@ def test_summary_of_a_made_up_trace() -> None:
     assert found.step_tail == pytest.approx(3e-4, rel=1e-3)
     assert found.step_max == pytest.approx(3e-4)
     assert found.real_time_factor == pytest.approx(0.7 / 6e-4)
+    press = read_scenario("press")
+    assert not list(too_slow(found, press))
+    (remark,) = too_slow(replace(found, real_time_factor=0.4), press)
+    assert "slower than real time" in remark and "tune press --budget-us 500" in remark
 
 
 def moved(name: str, force: list[float], **more: list[float]) -> dict[str, list[float]]:
