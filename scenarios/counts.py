@@ -41,14 +41,17 @@ def _motion(m: Model, passes: int) -> Part:
 
 
 def _contact(m: Model, state: State, pressed: int, passes: int) -> Part:
-    """A field at points: point 15, into the body 18, distance to a capsule 20; of a pressed one motion 27, force 75."""
+    """A field at points: point 15, distance to a capsule 20; of a pressed one point 15, motion 27, force 75.
+
+    Of a triangle corners 9, into the body 45.
+    """
     triangles = np.concatenate(
         [state.near[start : start + n] for start, n in zip(m.contact_near_start, state.near_count, strict=False)]
     ).astype(int)
     points = int((m.triangle_point_start[triangles + 1] - m.triangle_point_start[triangles]).sum())
     triangle = 4 * INDEX + 3 * VECTOR
     amount = len(triangles) * triangle + points * 3 * REAL + pressed * (REAL + 9 * VECTOR)
-    return Part("contact", passes, 53 * points + 102 * pressed, points, amount)
+    return Part("contact", passes, 54 * len(triangles) + 35 * points + 117 * pressed, points, amount)
 
 
 def _substitutions(m: Model, passes: int) -> Part:
@@ -101,6 +104,6 @@ def parts(assembly: Assembly, state: State, scratch: Scratch, substeps: int, det
     if m.integrator[0] == PROJECTIVE_DYNAMICS:
         n = substeps * int(m.iterations[0])
         solved = [_substitutions(m, n), _residual(m, n), _pressed_rows(m, scratch, n)]
-        # once more at the end of a substep, for what the bodies feel, and once for the outputs
-        return [_springs(m, n), _contact(m, state, pressed, n + substeps + 1), *solved, *common]
+        # once more at the end of a substep, for what the bodies feel, of the last for the outputs as well
+        return [_springs(m, n), _contact(m, state, pressed, n + substeps), *solved, *common]
     return [_springs(m, substeps), _motion(m, substeps), _contact(m, state, pressed, substeps + 1), *common]

@@ -52,6 +52,7 @@ def test_counts_follow_the_sizes_of_the_arrays():
     assert n > rows > 0
     assert found["substitutions"] == Part("substitutions", 3, 12 * n + 3 * rows, 0, 24 * n + 136 * rows)
     assert found["pressed rows"].flops == 0
+    assert found["contact"].passes == 4, "one for every iteration, and one for the outputs"
 
 
 def test_instructions_of_perf_and_of_valgrind():
