@@ -25,6 +25,7 @@ from tissue_contact.grading import GROWTH, Corners, Grading
 RELAXATIONS = 30  # rounds of Lloyd smoothing; more gain less than a degree in the smallest angle
 SAC_FILLET = 0.3  # radius of the rounded rim of a hernia's opening over the opening's radius
 SWAP_COSINE = 0.7  # edges are swapped between triangles nearly in one plane only: sharp ones are shape
+LEAST_VERTICES = 12  # of a closed organ: those of the 20 triangles that it has at least
 JAW_GAP = 0.02  # between closed jaws over their width, so that two parts never share an edge
 SAC_BULGE = 0.6  # how much the sac is wider than its neck: the widest place is 1.35 times the neck
 
@@ -363,6 +364,11 @@ def ellipsoid(
         many *= 2
     grading = Grading("ellipsoid", reach, growth, _edge(float(4 * np.pi * stretch.mean()), triangles))
     vertices = grading.thinned(found * half, found * half, rng)
+    rule, way_out = (
+        f"must leave {LEAST_VERTICES} vertices or more of a graded mesh",
+        "Ask for more, or enlarge the reach",
+    )
+    _require(len(vertices) >= LEAST_VERTICES, "ellipsoid, triangles", rule, triangles, way_out)
     for _ in range(RELAXATIONS):
         hull = _swapped(vertices, _hull(vertices))
         corner = vertices[hull]

@@ -224,6 +224,10 @@ def _tissue(draw: Draw, i: int, flat: bool, folder: Path) -> dict[str, Any]:
         out["shape"] = {"kind": "ellipsoid", "radii": radii, "triangles": draw.integer(20, 200)}
     else:
         out |= _mesh(draw, folder, f"tissue{i}", size)
+    if "shape" in out and not flat and (closed or irregular) and draw.chance(0.3):
+        side = radii[0] if closed else 0.5 * size
+        corners = [[-1.0, -1.0, -1.0], [side * draw.uniform(-0.5, 1.0), 1.0, 1.0]]  # some vertex is on that side
+        out["shape"] |= {"reach": corners, "growth": draw.log(0.01, 0.5)}
     if not flat and draw.chance(0.3):
         out |= {"position": draw.point(0.01), "rotation": draw.turn()}
     out["areal_density"] = draw.constant((0.3, 10.0), (1e-3, 1e3))

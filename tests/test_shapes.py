@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tissue_contact import geometry, shapes
@@ -267,6 +267,19 @@ def test_any_graded_patch_covers_its_rectangle_once(length, width, count, seed, 
     assert_sheet(surface, (length, width))
     assert geometry.triangle_normals(surface)[:, 2] == pytest.approx(1)
     assert geometry.triangle_areas(surface).sum() == pytest.approx(length * width)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(20, 300), st.integers(0, 2**32 - 1), st.floats(-0.9, 1), st.floats(0.01, 0.5), st.floats(0.2, 1))
+@example(20, 0, -0.9, 0.5, 0.2)  # of whose vertices too few are left for a hull
+def test_any_graded_ellipsoid_is_closed_or_refused_by_a_rule(count, seed, cut, growth, flatness):
+    half = 0.05 * np.array([1.0, 0.8, flatness])
+    try:
+        surface = shapes.ellipsoid(half, count, seed, reach=[[-1, -1, -1], [cut * half[0], 1, 1]], growth=growth)
+    except InputError as error:
+        assert error.place in ("ellipsoid, triangles", "ellipsoid, reach")
+        return
+    assert_closed(surface)
 
 
 def test_a_reach_around_all_of_it_leaves_the_mesh_alone():
