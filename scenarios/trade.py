@@ -1,7 +1,6 @@
 """The trade between time and accuracy of a scenario: run it in many configurations, time them, tell what to choose."""
 
 import base64
-import math
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -35,7 +34,7 @@ from tissue_contact.scenarios.scenario import Expectation, Scenario
 from tissue_contact.scene import Scene, parse_scene
 from tissue_contact.study import deviation, levers
 from tissue_contact.study.deviation import DEPTH, FORCE, WIDTH, errors
-from tissue_contact.study.front import Point, Sweep, advice, front, percent, unresolved
+from tissue_contact.study.front import Point, Sweep, advice, front, percent, promising, unresolved
 from tissue_contact.study.levers import Configuration, Grounds
 from tissue_contact.study.trade_report import csv_text, figure, raw, table
 
@@ -370,21 +369,16 @@ class _Search:
             raise InputError(self.scenario.place, "something must be touched", "no force in the whole run", way_out)
 
     def _combinations(self) -> list[Configuration]:
-        """Configurations not yet tried: those near the front, each with an option that another of them has.
-
-        The most promising come first: by time times error, as if what each change alone makes of them multiplied.
-        """
+        """Configurations not yet tried: those near the front, each with an option that another of them has."""
         points = self.points()
         near = front(points, self.request.measure, COMBINED)
-        cost = {p.configuration: math.prod(p.at(self.request.measure)) for p in points}
-        whole = cost[()] if 0.0 < cost[()] < math.inf else 1.0  # a scene that is refused says nothing
         found: dict[Configuration, None] = {}
         for point in near:
             for option in (o for other in near for o in other.configuration):
                 made = levers.with_option(point.configuration, option)
                 if made not in self.results and levers.variant(self.scenario.scene, made) is not None:
                     found[made] = None
-        return sorted(found, key=lambda made: math.prod(cost[(option,)] / whole for option in made))
+        return promising(found, points, self.request.measure)
 
     def _try(self, configurations: Sequence[Configuration], text: str) -> None:
         self.results |= zip(configurations, self._follow([self.job(c) for c in configurations], text), strict=True)

@@ -29,6 +29,7 @@ from tissue_contact.study.front import (
     advice,
     front,
     percent,
+    promising,
     solver_settings,
     unresolved,
     within_error,
@@ -311,6 +312,18 @@ def test_the_front_has_what_nothing_beats_and_all_else_is_beaten():
             # A simpler point may stand for one that is as fast and as accurate within the tolerances.
             assert p in best or any(u <= NOISE * us and e <= WORTH**2 * error for u, e in places), (seed, p)
             assert not (p in best and any(u * NOISE < us and e < error for u, e in places)), (seed, p)
+
+
+def test_what_is_most_promising_is_tried_first():
+    finer, graded, fast, coarse = (option(*o) for o in (("mesh", "f"), ("grading", "g"), ("x", "fast"), ("mesh", "c")))
+    points = [
+        point(100, 0.04), point(260, 0.012, finer), point(40, 0.04, graded), point(20, 0.042, fast),
+        point(50, 0.08, coarse), point(80, 0.04, coarse, graded),
+    ]  # fmt: skip
+    wanted = [(finer, graded, fast), (graded, fast), (finer, graded), (coarse, graded)]
+    assert promising(reversed(wanted), points, "force") == wanted
+    points[0] = point(None, None)  # the scene as it is was refused
+    assert set(promising(wanted, points, "force")) == set(wanted)
 
 
 def test_refused_points_are_on_no_front_and_equal_ones_only_the_simpler():

@@ -1,7 +1,7 @@
 """What is worth choosing of configurations that differ in time and in error."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -100,6 +100,20 @@ def _replaces(point: Point, other: Point, measure: str) -> bool:
     (us, error), (before, off) = point.at(measure), other.at(measure)
     simpler = len(point.configuration) < len(other.configuration)
     return simpler and us <= NOISE * before and error <= WORTH * off
+
+
+def promising(configurations: Iterable[Configuration], points: Sequence[Point], measure: str) -> list[Configuration]:
+    """Configurations with the most promising first: by time times error, as if what every change alone made multiplied.
+
+    Parameters
+    ----------
+    configurations : none of them tried
+    points : of the scene as it is, the first, and of every change alone among others
+    measure : str
+    """
+    cost = {p.configuration: math.prod(p.at(measure)) for p in points}
+    whole = cost[()] if 0.0 < cost[()] < math.inf else 1.0  # a scene that is refused says nothing
+    return sorted(configurations, key=lambda made: math.prod(cost[(option,)] / whole for option in made))
 
 
 def unresolved(points: Sequence[Point], measure: str, convergence: Mapping[str, float | None]) -> list[Point]:
