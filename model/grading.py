@@ -1,25 +1,19 @@
 """Grading of a generated mesh: finest within a box, its edges growing with the distance from it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue_contact.boxes import Corners, distance_to_box, held_vertices
 from tissue_contact.errors import InputError
 
 FloatArray = NDArray[np.float64]
-Corners = Sequence[Sequence[float]]  # least and greatest corner of a box [m]
 
 GROWTH = 0.3  # twice as long at three edges from the box
 GROWTH_MAX = 0.5  # of an edge over its distance; beyond, neighbours differ so much that triangles are slim
 LOOKS = 8  # at the wanted length, for each of the finest edges along a side
-
-
-def distance_to_box(points: FloatArray, box: Corners | FloatArray) -> FloatArray:
-    """Distance [m] of points, shape (n, 3), from a box, 0 within."""
-    low, high = np.asarray(box)
-    return np.asarray(np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=1))
 
 
 class Grading:
@@ -59,13 +53,17 @@ class Grading:
 
     def coarseness(self, points: FloatArray) -> FloatArray:
         """Wanted length of an edge over the finest, at points [m] of shape (n, 3)."""
-        return 1.0 + self._growth * self._distance(points) / self._finest
+        if self._box is None:
+            return np.ones(len(points))
+        return 1.0 + self._growth * distance_to_box(points, self._box) / self._finest
 
-    def thinned(self, points: FloatArray, in_space: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Of evenly spread points, of the finest mesh, as many as the wanted lengths ask for."""
+    def thinned(
+        self, points: FloatArray, to_space: Callable[[FloatArray], FloatArray], rng: np.random.Generator
+    ) -> FloatArray:
+        """Of points that are spread evenly in space, of the finest mesh, as many as the wanted lengths ask for."""
         if self._box is None:
             return points
-        return points[rng.random(len(points)) * self.coarseness(in_space) ** 2 < 1.0]
+        return points[rng.random(len(points)) * self.coarseness(to_space(points)) ** 2 < 1.0]
 
     def places(self, side: Callable[[FloatArray], FloatArray], finest: int) -> FloatArray:
         """Where the vertices of a straight side are, 0 its start, without its end at 1.
@@ -87,14 +85,5 @@ class Grading:
 
     def check(self, vertices: FloatArray) -> None:
         """Raise InputError where none of the vertices [m], shape (n, 3), is within the box."""
-        if self._box is not None and not (self._distance(vertices) == 0.0).any():
-            ends = vertices.min(axis=0), vertices.max(axis=0)
-            found = "none; the surface is between " + " and ".join(
-                f"[{', '.join(f'{x:.4g}' for x in end)}]" for end in ends
-            )
-            raise InputError(f"{self._place}, reach", "the box must hold a vertex", found, "Move or enlarge it")
-
-    def _distance(self, points: FloatArray) -> FloatArray:
-        if self._box is None:
-            return np.zeros(len(points))
-        return distance_to_box(points, self._box)
+        if self._box is not None:
+            held_vertices(vertices, self._box, f"{self._place}, reach")

@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, Delaunay
 
+from tissue_contact.boxes import Corners
 from tissue_contact.errors import InputError
 from tissue_contact.geometry import FloatArray, IntArray, Surface, interior_edges, volume
-from tissue_contact.grading import GROWTH, Corners, Grading
+from tissue_contact.grading import GROWTH, Grading
 
 RELAXATIONS = 30  # rounds of Lloyd smoothing; more gain less than a degree in the smallest angle
 SAC_FILLET = 0.3  # radius of the rounded rim of a hernia's opening over the opening's radius
@@ -129,8 +130,7 @@ def patch(
         return Surface(to_space(plan), _delaunay(plan))
     rng = np.random.default_rng(seed)
     count, margin, inner = _finest(lengths, triangles, float(lengths.prod()))
-    start = (_spread(inner, 2, rng) - 0.5) * (lengths - margin)
-    start = grading.thinned(start, to_space(start), rng)
+    start = grading.thinned((_spread(inner, 2, rng) - 0.5) * (lengths - margin), to_space, rng)
     return _relaxed(_rim(lengths, count, to_space, grading), start, to_space, grading)
 
 
@@ -172,18 +172,15 @@ def _rim(
     lengths: FloatArray, finest: tuple[int, int], to_space: Callable[[FloatArray], FloatArray], grading: Grading
 ) -> FloatArray:
     """Points of a rectangle's rim, with so many edges along its sides where they are finest."""
+    corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
-    def side(turn: int, place: FloatArray) -> FloatArray:
-        along, end = place - 0.5, np.full(len(place), 0.5)
-        return np.asarray(
-            (np.c_[along, -end], np.c_[end, along], np.c_[-along, end], np.c_[-end, -along])[turn] * lengths
-        )
+    def side(turn: int) -> FloatArray:
+        def plan(place: FloatArray) -> FloatArray:
+            return np.asarray((corners[turn] + place[:, None] * (corners[(turn + 1) % 4] - corners[turn])) * lengths)
 
-    places = [
-        grading.places(lambda p, turn=turn: to_space(side(turn, p)), finest[turn % 2])  # type: ignore[misc]
-        for turn in range(4)
-    ]
-    return np.concatenate([side(turn, place) for turn, place in enumerate(places)])
+        return plan(grading.places(lambda place: to_space(plan(place)), finest[turn % 2]))
+
+    return np.concatenate([side(turn) for turn in range(4)])
 
 
 def _delaunay(plan: FloatArray) -> IntArray:
@@ -303,8 +300,7 @@ def abdominal_wall(
     many = int(2 * (inner - in_sac) * lengths.prod() / flat) + 100
     sheet = (_spread(many, 2, rng) - 0.5) * (lengths - margin)
     sheet = sheet[np.linalg.norm(sheet, axis=1) > edge][: inner - in_sac]
-    start = np.concatenate([sac, sheet])
-    start = grading.thinned(start, to_space(start), rng)
+    start = grading.thinned(np.concatenate([sac, sheet]), to_space, rng)
     return _relaxed(_rim(lengths, count, to_space, grading), start, to_space, grading)
 
 
@@ -363,11 +359,9 @@ def ellipsoid(
         found = sphere[stretch > spread[:, 2] * weight_max][:n]
         many *= 2
     grading = Grading("ellipsoid", reach, growth, _edge(float(4 * np.pi * stretch.mean()), triangles))
-    vertices = grading.thinned(found * half, found * half, rng)
-    rule, way_out = (
-        f"must leave {LEAST_VERTICES} vertices or more of a graded mesh",
-        "Ask for more, or enlarge the reach",
-    )
+    vertices = grading.thinned(found, lambda sphere: sphere * half, rng) * half
+    rule = f"must leave {LEAST_VERTICES} vertices or more of a graded mesh"
+    way_out = "Ask for more, or enlarge the reach"
     _require(len(vertices) >= LEAST_VERTICES, "ellipsoid, triangles", rule, triangles, way_out)
     for _ in range(RELAXATIONS):
         hull = _swapped(vertices, _hull(vertices))

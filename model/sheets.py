@@ -8,6 +8,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import eigsh
 
 from tissue_contact import fields, geometry
+from tissue_contact.boxes import held_vertices
 from tissue_contact.errors import InputError
 from tissue_contact.geometry import FloatArray, IntArray, Surface
 from tissue_contact.scene import FixedBox, Scene, Tissue
@@ -119,16 +120,7 @@ def _fixed(tissue: Tissue, surface: Surface, place: str) -> FloatArray:
     """1 for the vertices that never move, numbered as in the mesh."""
     fixed = np.zeros(len(surface.vertices))
     if isinstance(tissue.fixed, FixedBox):
-        low, high = np.array(tissue.fixed.box)
-        fixed[((surface.vertices >= low) & (surface.vertices <= high)).all(axis=1)] = 1.0
-        if not fixed.any():
-            least, most = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-            raise InputError(
-                place,
-                "the box must hold at least one vertex of the surface",
-                f"none; the surface reaches from {_point(least)} to {_point(most)} m",
-                "Enlarge or move the box",
-            )
+        fixed[held_vertices(surface.vertices, tissue.fixed.box, place)] = 1.0
     elif isinstance(tissue.fixed, tuple):
         beyond = [i for i in tissue.fixed if i >= len(fixed)]
         if beyond:
@@ -148,10 +140,6 @@ def _fixed(tissue: Tissue, surface: Surface, place: str) -> FloatArray:
                 'or let it float with fixed = "none"',
             )
     return fixed
-
-
-def _point(p: FloatArray) -> str:
-    return f"[{', '.join(f'{c:.4g}' for c in p)}]"
 
 
 def _local_order(surface: Surface) -> IntArray:
