@@ -6,10 +6,10 @@ from typing import Literal
 import numpy as np
 
 from tissue_contact import geometry, shapes
+from tissue_contact.boxes import distance_to_box
 from tissue_contact.errors import InputError
 from tissue_contact.fields import longest_edges
 from tissue_contact.geometry import FloatArray, Surface
-from tissue_contact.grading import distance_to_box
 from tissue_contact.scene import Graded, Instrument, Rigid, Tissue
 
 
@@ -30,6 +30,12 @@ def placement(body: Tissue | Instrument | Rigid) -> tuple[FloatArray, FloatArray
     if isinstance(body, Rigid):
         return np.eye(3), np.zeros(3)
     return rotation_matrix(body.rotation), np.array(body.position if isinstance(body, Tissue) else body.offset)
+
+
+def in_own_frame(body: Tissue | Instrument | Rigid, points: FloatArray) -> FloatArray:
+    """Points of a placed surface, shape (n, 3) [m], in the frame of the mesh or the shape; `placement` undone."""
+    rotation, shift = placement(body)
+    return np.asarray((points - shift) @ rotation)
 
 
 def surface_of(body: Tissue | Instrument | Rigid, folder: Path, place: str = "scene") -> Surface:
@@ -74,13 +80,16 @@ def surface_of(body: Tissue | Instrument | Rigid, folder: Path, place: str = "sc
 
 
 def touched_edge(body: Tissue | Instrument | Rigid, surface: Surface) -> float:
-    """Longest edge [m] of the surface of a body, of a graded one of the triangles with a corner within the reach."""
+    """Longest edge [m] of the surface of a body, of a graded one of the triangles with a corner within the reach.
+
+    A corner on the very edge of the reach may be out of it by rounding, as it was placed: the nearest are as good.
+    """
     edges = longest_edges(surface)
     if not isinstance(body.shape, Graded) or body.shape.reach is None:
         return float(edges.max())
-    rotation, shift = placement(body)
-    within = distance_to_box((surface.vertices - shift) @ rotation, body.shape.reach) == 0.0
-    return float(edges[within[surface.triangles].any(axis=1)].max())
+    distance = distance_to_box(in_own_frame(body, surface.vertices), body.shape.reach)
+    nearest = distance == distance.min()
+    return float(edges[nearest[surface.triangles].any(axis=1)].max())
 
 
 def _placed(surface: Surface, rotation: FloatArray, shift: FloatArray) -> Surface:

@@ -178,18 +178,15 @@ def test_a_mesh_is_fine_around_what_was_touched():
     known = replace(known_of(scene), touched={"contact": np.array([[-0.006, -0.001, -0.008], [0.006, 0.001, 0.0]])})
     gradings = chosen(levers.options(scene, known), "grading")
     assert len(gradings) == len(levers.GRADINGS), "it is as fine all over as it is"
-    made = [levers.variant(scene, (option,)).tissue[0].shape for option in gradings.values()]
+    made = [levers.variant(scene, (option,)).tissue[0] for option in gradings.values()]
     half = known.half["contact"]
     assert half == pytest.approx(0.0025, rel=0.03), "that of the capsule's mesh"
-    for shape, (margin, growth) in zip(made, levers.GRADINGS, strict=True):
-        low, high = np.array(shape.reach)
+    for tissue, (margin, growth) in zip(made, levers.GRADINGS, strict=True):
+        low, high = np.array(tissue.shape.reach)
         assert low == pytest.approx(np.array([-0.006, -0.001, -0.008]) - margin * half, rel=1e-3)
         assert high == pytest.approx(np.array([0.006, 0.001, 0.0]) + margin * half, rel=1e-3)
-        assert shape.growth == growth and shape.triangles == 6000
-        assert (
-            len(surface_of(levers.changed(scene, []).tissue[0].model_copy(update={"shape": shape}), Path()).triangles)
-            < 3000
-        )
+        assert tissue.shape.growth == growth and tissue.shape.triangles == 6000
+        assert len(surface_of(tissue, Path()).triangles) < 3000
     graded = levers.variant(scene, (next(iter(gradings.values())),))
     assert "as fine all over" in chosen(levers.options(graded, known), "grading")
     finer = levers.changed(graded, levers.reference(graded, known, 16.0)).tissue[0].shape
@@ -312,6 +309,15 @@ def test_the_front_has_what_nothing_beats_and_all_else_is_beaten():
             # A simpler point may stand for one that is as fast and as accurate within the tolerances.
             assert p in best or any(u <= NOISE * us and e <= WORTH**2 * error for u, e in places), (seed, p)
             assert not (p in best and any(u * NOISE < us and e < error for u, e in places)), (seed, p)
+
+
+def test_a_reach_may_hold_one_vertex_that_rounding_puts_beside_it():
+    corner = "reach = [[0.01, 0.01, 0], [0.01, 0.01, 0]]"
+    for turn in ("[0.6, 0.0, 0.8, 0.0]", "[0.9, 0.1, 0.3, 0.3]", "[0.5, 0.5, -0.1, 0.7]"):
+        source = f"{PATCH.replace('triangles', f'{corner}, triangles')}\nrotation = {turn}\nposition = [0.1, 0.2, 0.3]"
+        scene = parse_scene(WHOLE.format(source=source).encode(), Path())
+        surface = surface_of(scene.tissue[0], Path())
+        assert touched_edge(scene.tissue[0], surface) < longest_edges(surface).max()
 
 
 def test_what_is_most_promising_is_tried_first():

@@ -19,7 +19,7 @@ from tissue_contact.geometry import FloatArray
 from tissue_contact.presets import OF_PROJECTIVE, PRESETS, Preset
 from tissue_contact.scene import Contact, Graded, Instrument, Rigid, Scene, Tissue, parse_scene
 from tissue_contact.settings import check_word, setting
-from tissue_contact.surfaces import placement, surface_of, touched_edge
+from tissue_contact.surfaces import in_own_frame, surface_of, touched_edge
 
 SAFETIES = (0.95, 0.7, 0.5, 0.25)  # of symplectic Euler, shares of its stable limit
 IMPLICIT_SUBSTEPS = (1, 2, 4)
@@ -252,8 +252,7 @@ def _gradable(scene: Scene) -> list[tuple[int, Graded]]:
 
 def _in_frame(tissue: Tissue, box: FloatArray) -> FloatArray:
     """Box of the shape's frame around a box of the world [m], shape (2, 3)."""
-    rotation, shift = placement(tissue)
-    corners = (np.array(list(product(*box.T))) - shift) @ rotation
+    corners = in_own_frame(tissue, np.array(list(product(*box.T))))
     return np.array([corners.min(axis=0), corners.max(axis=0)])
 
 
