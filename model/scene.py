@@ -72,8 +72,8 @@ def _length(description: str) -> Any:
     return quantity("m", 1e-5, 1, description)
 
 
-def _triangles(default: Any = ...) -> Any:
-    return quantity("1", 2, 1_000_000, "wanted number of triangles", default)
+def _triangles(default: Any = ..., more: str = "") -> Any:
+    return quantity("1", 2, 1_000_000, f"wanted number of triangles{more}", default)
 
 
 def _seed() -> Any:
@@ -83,7 +83,7 @@ def _seed() -> Any:
 class Graded(Settings):
     """What generated tissues share: a mesh that is finest where it is touched."""
 
-    triangles: int = quantity("1", 2, 1_000_000, "wanted number of triangles, with a reach if it were as fine all over")
+    triangles: int = _triangles(more=", with a reach if it were as fine all over")
     reach: Corners | None = items(
         "m", "least and greatest corner of a box in the shape's frame, beyond which the mesh gets coarser", None
     )

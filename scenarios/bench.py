@@ -96,9 +96,14 @@ def write_sheet(level: str, folder: Path) -> Path:
     return mesh
 
 
+def scene_text(tissue: str, solver: str = "", contact: str = CONTACT) -> str:
+    """Text of the scene with a tissue: a mesh or a shape."""
+    return SCENE.format(solver=solver, tissue=tissue, contact=contact)
+
+
 def on_sheet(mesh: Path, solver: str = "", contact: str = CONTACT) -> str:
     """Text of the scene with a sheet that lies beside it."""
-    return SCENE.format(solver=solver, tissue=MESH.format(name=mesh.name), contact=contact)
+    return scene_text(MESH.format(name=mesh.name), solver, contact)
 
 
 def poses() -> Real:
@@ -203,7 +208,7 @@ def measure(levels: Sequence[str], say: Callable[[str], None]) -> dict[str, Any]
         for level, preset, contact in cases:
             what = level + (f" {preset}" if preset != "accurate" else "") + ("" if contact else ", no contact declared")
             say(what)
-            text = SCENE.format(solver=PRESET.format(preset), tissue=tissues[level], contact=contact)
+            text = scene_text(tissues[level], PRESET.format(preset), contact)
             results[what] = level_result(text, folder, parts=preset == "accurate")
     return results
 

@@ -42,9 +42,7 @@ def assembly_of(sheet: Path, solver: str = bench.PRESET.format("accurate"), cont
 
 def graded_assembly(folder: Path) -> Assembly:
     """The bench's scene with the preset fast on a sheet that is graded, in the place of one of equal cells."""
-    solver = bench.PRESET.format("fast")
-    text = bench.SCENE.format(solver=solver, tissue=bench.GRADED, contact=bench.CONTACT)
-    return assemble(parse_scene(text.encode(), folder))
+    return assemble(parse_scene(bench.scene_text(bench.GRADED, bench.PRESET.format("fast")).encode(), folder))
 
 
 def lowest_of(assembly: Assembly) -> Real:

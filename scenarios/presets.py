@@ -87,8 +87,7 @@ def cases(folder: Path, say: Say) -> list[Case]:
     names = [f"instrument.position[{k}]" for k in (1, 2, 3)] + [f"instrument.orientation[{k}]" for k in (1, 2, 3, 4)]
     inputs = dict(zip(names, poses.T.copy(), strict=True))
     for name, tissue in zip(SHEETS, tissues, strict=True):
-        text = bench.SCENE.format(solver="", tissue=tissue, contact=bench.CONTACT)
-        scene = parse_scene(text.encode(), folder.resolve(), name)
+        scene = parse_scene(bench.scene_text(tissue).encode(), folder.resolve(), name)
         found.append(Case(name, scene, Job(scene.source, scene.folder, name, times, steps, inputs)))
     return found
 
