@@ -36,7 +36,7 @@ from tissue_contact.scenarios.outcome import (
     summarise,
     write_csv,
 )
-from tissue_contact.scenarios.scenario import Scenario
+from tissue_contact.scenarios.scenario import SHIPPED, Scenario
 from tissue_contact.scene import Scene
 from tissue_contact.settings import nearest
 
@@ -404,10 +404,13 @@ def too_deep(summary: Summary, scene: Scene, thickness: FloatArray) -> Iterator[
 def too_slow(summary: Summary, scenario: Scenario) -> Iterator[str]:
     """A remark on a run whose steps took longer than the time that they are for."""
     if summary.real_time_factor < 1.0:
-        name, budget = scenario.name, 0.5e6 * scenario.scene.solver.step
+        name, scene = scenario.name, scenario.scene
+        word = name if Path(scenario.place).is_relative_to(SHIPPED) else scenario.place
+        slow = scene.solver.integrator != "projective_dynamics" and not any(t.beyond_springs for t in scene.tissue)
+        presets = " The presets balanced and fast take less (`--preset`)." if scene.tissue and slow else ""
         yield (
-            f"{name} is slower than real time. The presets balanced and fast take less (`--preset`); "
-            f"`tissue-contact tune {name} --budget-us {budget:g}` finds what errs least in half of the time"
+            f"{name} is slower than real time.{presets} `tissue-contact tune {word} "
+            f"--budget-us {0.5e6 * scene.solver.step:g}` finds what errs least in half of the time"
         )
 
 

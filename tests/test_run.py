@@ -4,6 +4,7 @@ import csv
 import functools
 import io
 import itertools
+import shutil
 import struct
 import tempfile
 from dataclasses import replace
@@ -20,7 +21,7 @@ from tissue_contact.scenarios import run as run_module
 from tissue_contact.scenarios.outcome import Trace, check_names, judge, summarise, write_csv
 from tissue_contact.scenarios.report import CANVAS, Mesh, _rendered, history, picture, still
 from tissue_contact.scenarios.run import Interrupted, Outcome, communication_points, run, scene_key, too_slow
-from tissue_contact.scenarios.scenario import Expectation, Scenario, read_scenario, shipped_names
+from tissue_contact.scenarios.scenario import SHIPPED, Expectation, Scenario, read_scenario, shipped_names
 from tissue_contact.scenarios.stimulus import read_recording
 from tissue_contact.scene import parse_scene
 from tissue_contact.shapes import capsule, ellipsoid, patch
@@ -152,7 +153,7 @@ def test_unknown_output_names_the_nearest() -> None:
             check_names([given], ["probe.force[1]", "probe.depth"], "s.toml")
 
 
-def test_summary_of_a_made_up_trace() -> None:
+def test_summary_of_a_made_up_trace(tmp_path: Path) -> None:
     made = trace(
         **{
             "p.force_1": [0, 3, 0, 0],
@@ -178,6 +179,14 @@ def test_summary_of_a_made_up_trace() -> None:
     assert not list(too_slow(found, press))
     (remark,) = too_slow(replace(found, real_time_factor=0.4), press)
     assert "slower than real time" in remark and "tune press --budget-us 500" in remark
+    assert "balanced" in remark
+    for name in ("clash", "palpation"):  # no tissue to integrate, and one that every preset integrates alike
+        (remark,) = too_slow(replace(found, real_time_factor=0.4), read_scenario(name))
+        assert f"tune {name} " in remark and "preset" not in remark
+    own = tmp_path / "own"
+    shutil.copytree(SHIPPED / "press", own)
+    (remark,) = too_slow(replace(found, real_time_factor=0.4), read_scenario(own))
+    assert f"tune {own / 'scenario.toml'} " in remark, "what the command finds it by"
 
 
 def moved(name: str, force: list[float], **more: list[float]) -> dict[str, list[float]]:
