@@ -33,10 +33,8 @@ static void *symbol(void *library, const char *name)
     memcpy(&out, &found, sizeof out);
     return out;
 }
-#define CLOCK_MONOTONIC 0
-static uint64_t nanoseconds(int clock)
+static uint64_t nanoseconds(void)
 {
-    (void)clock;
     LARGE_INTEGER now, per_second;
     QueryPerformanceCounter(&now);
     QueryPerformanceFrequency(&per_second);
@@ -53,12 +51,13 @@ static void *load(const char *path)
     return library;
 }
 static void *symbol(void *library, const char *name) { return dlsym(library, name); }
-static uint64_t nanoseconds(clockid_t clock)
+static uint64_t told_by(clockid_t clock)
 {
     struct timespec now;
     clock_gettime(clock, &now);
     return (uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec;
 }
+static uint64_t nanoseconds(void) { return told_by(CLOCK_MONOTONIC); }
 #endif
 
 static void fail(const char *what)
@@ -91,7 +90,7 @@ static void interruptions(uint64_t *so_far)
     so_far[PREEMPTIONS] = (uint64_t)usage.ru_nivcsw;
     so_far[WAITS] = (uint64_t)usage.ru_nvcsw;
     so_far[FAULTS] = (uint64_t)(usage.ru_minflt + usage.ru_majflt);
-    so_far[PROCESSOR] = nanoseconds(CLOCK_THREAD_CPUTIME_ID);
+    so_far[PROCESSOR] = told_by(CLOCK_THREAD_CPUTIME_ID);
 }
 #else
 static uint64_t stay_on(uint64_t core)
@@ -224,11 +223,11 @@ static int run(int argc, char **argv)
             fail("fmi2SetReal");
         if (still)
             interruptions(so_far);
-        uint64_t before = nanoseconds(CLOCK_MONOTONIC);
+        uint64_t before = nanoseconds();
         watch(true);
         fmi2Status status = fmi2DoStep(c, begin + (double)k * h, h, fmi2True);
         watch(false);
-        spent[k] = nanoseconds(CLOCK_MONOTONIC) - before;
+        spent[k] = nanoseconds() - before;
         if (still) {
             interruptions(then);
             for (int i = 0; i < INTERRUPTIONS; i++)
