@@ -9,7 +9,7 @@ from tissue_contact import fields, geometry
 from tissue_contact.assembly import Assembly, start_values
 from tissue_contact.blocks import Blocks, blocks_of
 from tissue_contact.bodies import Body, body_of, polytopes, spacing_of
-from tissue_contact.elimination import Elimination, elimination
+from tissue_contact.elimination import WIDTH, Elimination, elimination
 from tissue_contact.errors import InputError
 from tissue_contact.geometry import FloatArray, IntArray
 from tissue_contact.kernels import slots
@@ -392,7 +392,7 @@ def _scratch(scene: Scene, model: Model, parameters: int) -> Scratch:
     # every touch, every point of every tissue for each of its contacts, every anchor, as far as that is not absurd
     points = len(model.point_area) * len(scene.contact) + len(scene.contact) * capacity + int(model.grasp_start[-1])
     points = min(points, POINTS_OF_PAIR * scene.solver.max_pairs) if implicit or projective or symplectic else 0
-    rows, entries = len(model.factor_vertex), len(model.factor_row)
+    rows, panels = len(model.factor_vertex), len(model.factor_start) - 1 if projective else 0
     kept = min(rows, KEPT_ROWS)
     sizes = {
         "cells": 3,
@@ -418,9 +418,10 @@ def _scratch(scene: Scene, model: Model, parameters: int) -> Scratch:
         **dict.fromkeys(("inverse_mass", "loss_now"), vertices if implicit else 0),
         "volume_gradient": 3 * vertices if implicit else 0,
         "factor_key": 1 + parameters if projective else 0,
-        **dict.fromkeys(("factor_down", "factor_across"), entries),
-        **dict.fromkeys(("path", "path_row", "touched", "touched_mark", "row_slot", "factor_inverse"), rows),
-        **dict.fromkeys(("right", "unit_right"), 4 * rows),
+        "factor": WIDTH * len(model.factor_row),
+        **dict.fromkeys(("path", "path_panel"), panels),
+        **dict.fromkeys(("touched", "touched_mark", "row_slot"), rows),
+        **dict.fromkeys(("right", "unit_right"), 4 * (rows + WIDTH - 1) if projective else 0),
         "row_press": 5 * rows,
         "touched_count": 1,
         "lane_slot": 4,

@@ -9,8 +9,10 @@ higher.
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissue_contact.assembly import Assembly
+from tissue_contact.elimination import WIDTH
 from tissue_contact.kernels.layout import Model, Scratch, State
 from tissue_contact.kernels.stability import PROJECTIVE_DYNAMICS
 
@@ -54,10 +56,17 @@ def _contact(m: Model, state: State, pressed: int, passes: int) -> Part:
     return Part("contact", passes, 54 * len(triangles) + 35 * points + 117 * pressed, points, amount)
 
 
+def _entries(m: Model) -> NDArray[np.intp]:
+    """Entries below the diagonal in each panel of the factor."""
+    width = np.diff(m.factor_column.astype(int))
+    return width * (np.diff(m.factor_start.astype(int)) - WIDTH) + width * (width - 1) // 2
+
+
 def _substitutions(m: Model, passes: int) -> Part:
-    """Both, of three right sides: an entry 6, a row 3; value and place of an entry each way, the right sides twice."""
-    n, rows = m.factor_row.size, m.factor_vertex.size
-    return Part("substitutions", passes, 12 * n + 3 * rows, 0, 2 * n * (REAL + INDEX) + rows * (4 * 4 * REAL + REAL))
+    """Both, of three right sides: an entry 6, a row 3; values, places of rows, and the right sides, each way."""
+    n, rows, named = int(_entries(m).sum()), m.factor_vertex.size, m.factor_row.size
+    amount = 2 * (n * REAL + named * INDEX) + rows * (4 * 4 * REAL + REAL)
+    return Part("substitutions", passes, 12 * n + 3 * rows, 0, amount)
 
 
 def _residual(m: Model, passes: int) -> Part:
@@ -69,15 +78,17 @@ def _residual(m: Model, passes: int) -> Part:
 def _pressed_rows(m: Model, scratch: Scratch, passes: int) -> Part:
     """A dense Cholesky factor of the pressed directions, and two passes over the path of their rows in the factor."""
     size = int(scratch.touched_count[0])  # at least one direction each
-    start, rows = m.factor_start.astype(int), m.factor_vertex.size
+    panels, start = m.factor_start.size - 1, m.factor_start.astype(int)
     path = set()
-    for row in scratch.touched[:size].astype(int).tolist():
-        while row < rows and row not in path:
-            path.add(row)
-            row = int(m.factor_row[start[row]]) // 4 if start[row] < start[row + 1] else rows
-    entries = sum(int(start[row + 1] - start[row]) for row in path)
+    for row in scratch.touched[:size].astype(int):
+        panel = int(m.factor_panel[row])
+        while panel < panels and panel not in path:
+            path.add(panel)
+            below = start[panel] + WIDTH
+            panel = int(m.factor_panel[m.factor_row[below] // 4]) if below < start[panel + 1] else panels
+    entries = int(_entries(m)[list(path)].sum())
     dense = size**3 / 3 + 2 * size**2 + 6 * size**2 / 2
-    return Part("pressed rows", passes, dense + 12 * entries, size, 2 * entries * (REAL + INDEX) + size**2 / 2 * REAL)
+    return Part("pressed rows", passes, dense + 12 * entries, size, 2 * entries * REAL + size**2 / 2 * REAL)
 
 
 def _energies(m: Model) -> Part:

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from fmu_fixture import PLATFORM
 from scenes import assembled
@@ -48,9 +49,13 @@ def test_counts_follow_the_sizes_of_the_arrays():
     assert found["contact"].flops == 0  # nothing is near at the start
     implicit = assembled(SCENE.format(integrator="projective_dynamics"))
     found = {part.name: part for part in parts(implicit, implicit.state, implicit.scratch, 1, 1)}
-    n, rows = implicit.model.factor_row.size, implicit.model.factor_vertex.size
+    m = implicit.model
+    below, rows = np.diff(m.factor_start.astype(int)) - 4, m.factor_vertex.size
+    # of a panel's columns each reaches those after it in the panel, and all rows below
+    n = sum(int(w * b + w * (w - 1) / 2) for w, b in zip(np.diff(m.factor_column.astype(int)), below, strict=True))
     assert n > rows > 0
-    assert found["substitutions"] == Part("substitutions", 3, 12 * n + 3 * rows, 0, 24 * n + 136 * rows)
+    size = 16 * n + 8 * m.factor_row.size + 136 * rows
+    assert found["substitutions"] == Part("substitutions", 3, 12 * n + 3 * rows, 0, size)
     assert found["pressed rows"].flops == 0
     assert found["contact"].passes == 4, "one for every iteration, and one for the outputs"
 

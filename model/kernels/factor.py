@@ -2,9 +2,10 @@
 
 M are the masses, c [N·s/m³] drag and support together, L the Laplacian of the springs' stiffness, a part of it, their
 dampers over dt and the support. A is the same for x, y and z. Rows are the free vertices in an order of little fill,
-found at assembly with the places of all entries (`tissue_contact.elimination`). L is kept twice, by columns and by
-rows, so that both substitutions gather. Right sides lie four numbers a row: x, y, z and one of padding; entries name
-their row, or column, by where its right sides begin.
+found at assembly with the places of all entries (`tissue_contact.elimination`). L lies in panels of four columns with
+the same rows below them, D in its diagonal; columns that a panel does not have change nothing, as their entries are
+zeros and ones. A panel is read from its end to its begin where panels are, as memory is fetched ahead in one
+direction. Right sides lie four numbers a row: x, y, z and one of padding; rows are named by where those begin.
 """
 
 from tissue_contact.kernels.compiled import inner
@@ -46,11 +47,24 @@ def ready(model, parameters, scratch, dt):
 
 
 @inner
+def diagonal(model, row):
+    """Place of the diagonal's entry of a row in scratch.factor."""
+    panel = model.factor_panel[row]
+    within = row - model.factor_column[panel]
+    return 4 * (model.factor_start[panel] + within) + within
+
+
+@inner
 def _fill(model, parameters, scratch, dt):
-    """The entries of A: the diagonal into scratch.factor_inverse, what is below it into scratch.factor_down."""
-    diagonal, down = scratch.factor_inverse, scratch.factor_down
-    for e in range(down.size):
-        down[e] = 0.0
+    """The entries of A that are not above its diagonal, and ones in the diagonal of columns that panels do not have."""
+    rows, values = model.factor_vertex.size, scratch.factor
+    for e in range(values.size):
+        values[e] = 0.0
+    for panel in range(model.factor_start.size - 1):
+        for within in range(4):
+            values[4 * (model.factor_start[panel] + within) + within] = 1.0
+    for row in range(rows):
+        values[diagonal(model, row)] = 0.0
     for tissue in range(model.tissue_rate.size):
         own = TISSUE_PARAMETERS * tissue
         per_area = parameters[own + AREAL_DENSITY] + dt * (
@@ -58,134 +72,186 @@ def _fill(model, parameters, scratch, dt):
         )
         for v in range(model.tissue_vertex_start[tissue], model.tissue_vertex_start[tissue + 1]):
             row = model.factor_place[v]
-            if row < diagonal.size:
-                diagonal[row] = per_area * model.node_area[v]
+            if row < rows:
+                values[diagonal(model, row)] = per_area * model.node_area[v]
         stiffness, damping = dt * dt * parameters[own + STIFFNESS_SCALE] / SOFTER, dt * parameters[own + DAMPING_SCALE]
         for s in range(model.tissue_spring_start[tissue], model.tissue_spring_start[tissue + 1]):
             k = stiffness * model.spring_stiffness[s] + damping * model.spring_damping[s]
             i, j = model.factor_place[model.spring_i[s]], model.factor_place[model.spring_j[s]]
-            if i < diagonal.size:
-                diagonal[i] += k
-            if j < diagonal.size:
-                diagonal[j] += k
-            if model.factor_spring[s] < down.size:
-                down[model.factor_spring[s]] -= k
+            if i < rows:
+                values[diagonal(model, i)] += k
+            if j < rows:
+                values[diagonal(model, j)] += k
+            if model.factor_spring[s] < values.size:
+                values[model.factor_spring[s]] -= k
 
 
 @inner
 def _factorise(model, scratch):
-    """L and 1/D in the place of A, one column after the other."""
-    start, rows, down, inverse = model.factor_start, model.factor_row, scratch.factor_down, scratch.factor_inverse
-    work = scratch.right
-    for j in range(inverse.size):
-        first, last = start[j], start[j + 1]
-        for e in range(first, last):
-            work[rows[e]] = down[e]
-        pivot = inverse[j]
-        for q in range(model.factor_across_start[j], model.factor_across_start[j + 1]):
-            k, at = model.factor_across_column[q] // 4, model.factor_across_entry[q]
-            scaled = down[at] / inverse[k]  # of a column that is done the diagonal is 1/D
-            pivot -= down[at] * scaled
-            for e in range(at + 1, start[k + 1]):
-                work[rows[e]] -= scaled * down[e]
-        for e in range(first, last):
-            down[e] = work[rows[e]] / pivot
-        inverse[j] = 1.0 / pivot
-    for q in range(scratch.factor_across.size):
-        scratch.factor_across[q] = down[model.factor_across_entry[q]]
+    """L and 1/D in the place of A, one panel after the other: what it changes is changed at once."""
+    start, row, values = model.factor_start, model.factor_row, scratch.factor
+    for panel in range(start.size - 1):
+        first, last = start[panel], start[panel + 1]
+        for j in range(4):
+            inverse = 1.0 / values[4 * (first + j) + j]
+            for k in range(j + 1, 4):
+                scaled = inverse * values[4 * (first + k) + j]
+                for r in range(first + k, last):
+                    values[4 * r + k] -= scaled * values[4 * r + j]
+            values[4 * (first + j) + j] = inverse
+            for r in range(first + j + 1, last):
+                values[4 * r + j] *= inverse
+        d0, d1 = 1.0 / values[4 * first], 1.0 / values[4 * first + 5]
+        d2, d3 = 1.0 / values[4 * first + 10], 1.0 / values[4 * first + 15]
+        for s in range(first + 4, last):
+            other = model.factor_panel[row[s] // 4]
+            at, column = start[other], row[s] // 4 - model.factor_column[other]
+            a, b, c, d = d0 * values[4 * s], d1 * values[4 * s + 1], d2 * values[4 * s + 2], d3 * values[4 * s + 3]
+            for r in range(s, last):
+                while row[at] != row[r]:  # it has all of these rows
+                    at += 1
+                change = a * values[4 * r] + b * values[4 * r + 1] + c * values[4 * r + 2] + d * values[4 * r + 3]
+                values[4 * at + column] -= change
 
 
 @inner
-def _gather(right, o, scale, e, last, places, values):
-    """Scale a right side and subtract values times others, from entry e to the last, in four sums that do not wait."""
-    x, y, z, w = scale * right[o], scale * right[o + 1], scale * right[o + 2], scale * right[o + 3]
-    x1, y1, z1, w1 = 0.0, 0.0, 0.0, 0.0
-    x2, y2, z2, w2 = 0.0, 0.0, 0.0, 0.0
-    x3, y3, z3, w3 = 0.0, 0.0, 0.0, 0.0
-    while e + 4 <= last:
-        j, a = places[e], values[e]
-        x, y, z, w = x - a * right[j], y - a * right[j + 1], z - a * right[j + 2], w - a * right[j + 3]
-        j, a = places[e + 1], values[e + 1]
-        x1, y1, z1, w1 = x1 - a * right[j], y1 - a * right[j + 1], z1 - a * right[j + 2], w1 - a * right[j + 3]
-        j, a = places[e + 2], values[e + 2]
-        x2, y2, z2, w2 = x2 - a * right[j], y2 - a * right[j + 1], z2 - a * right[j + 2], w2 - a * right[j + 3]
-        j, a = places[e + 3], values[e + 3]
-        x3, y3, z3, w3 = x3 - a * right[j], y3 - a * right[j + 1], z3 - a * right[j + 2], w3 - a * right[j + 3]
-        e += 4
-    while e < last:
-        j, a = places[e], values[e]
-        x, y, z, w = x - a * right[j], y - a * right[j + 1], z - a * right[j + 2], w - a * right[j + 3]
-        e += 1
-    right[o], right[o + 1] = (x + x1) + (x2 + x3), (y + y1) + (y2 + y3)
-    right[o + 2], right[o + 3] = (z + z1) + (z2 + z3), (w + w1) + (w2 + w3)
+def _forward(model, scratch, panel, right):
+    """Subtract what the right sides of a panel's columns make of those below, in place."""
+    first, last, o = model.factor_start[panel], model.factor_start[panel + 1], 4 * model.factor_column[panel]
+    row, values, e = model.factor_row, scratch.factor, 4 * first
+    x0, y0, z0, w0 = right[o], right[o + 1], right[o + 2], right[o + 3]
+    x1, y1, z1, w1 = right[o + 4], right[o + 5], right[o + 6], right[o + 7]
+    x2, y2, z2, w2 = right[o + 8], right[o + 9], right[o + 10], right[o + 11]
+    x3, y3, z3, w3 = right[o + 12], right[o + 13], right[o + 14], right[o + 15]
+    a = values[e + 4]
+    x1, y1, z1, w1 = x1 - a * x0, y1 - a * y0, z1 - a * z0, w1 - a * w0
+    a, b = values[e + 8], values[e + 9]
+    x2, y2, z2, w2 = x2 - a * x0 - b * x1, y2 - a * y0 - b * y1, z2 - a * z0 - b * z1, w2 - a * w0 - b * w1
+    a, b, c = values[e + 12], values[e + 13], values[e + 14]
+    x3, y3 = x3 - a * x0 - b * x1 - c * x2, y3 - a * y0 - b * y1 - c * y2
+    z3, w3 = z3 - a * z0 - b * z1 - c * z2, w3 - a * w0 - b * w1 - c * w2
+    right[o + 4], right[o + 5], right[o + 6], right[o + 7] = x1, y1, z1, w1
+    right[o + 8], right[o + 9], right[o + 10], right[o + 11] = x2, y2, z2, w2
+    right[o + 12], right[o + 13], right[o + 14], right[o + 15] = x3, y3, z3, w3
+    for r in range(first + 4, last):
+        o, e = row[r], 4 * r
+        a, b, c, d = values[e], values[e + 1], values[e + 2], values[e + 3]
+        x, y, z, w = right[o], right[o + 1], right[o + 2], right[o + 3]
+        x, y = x - (a * x0 + b * x1) - (c * x2 + d * x3), y - (a * y0 + b * y1) - (c * y2 + d * y3)
+        z, w = z - (a * z0 + b * z1) - (c * z2 + d * z3), w - (a * w0 + b * w1) - (c * w2 + d * w3)
+        right[o], right[o + 1], right[o + 2], right[o + 3] = x, y, z, w
+
+
+@inner
+def _backward(model, scratch, panel, right):
+    """The solution at a panel's columns from that at the rows below, in place."""
+    first, r, o = model.factor_start[panel], model.factor_start[panel + 1], 4 * model.factor_column[panel]
+    row, values, e = model.factor_row, scratch.factor, 4 * first
+    i = values[e + 15]
+    x3, y3, z3, w3 = i * right[o + 12], i * right[o + 13], i * right[o + 14], i * right[o + 15]
+    i = values[e + 10]
+    x2, y2, z2, w2 = i * right[o + 8], i * right[o + 9], i * right[o + 10], i * right[o + 11]
+    i = values[e + 5]
+    x1, y1, z1, w1 = i * right[o + 4], i * right[o + 5], i * right[o + 6], i * right[o + 7]
+    i = values[e]
+    x0, y0, z0, w0 = i * right[o], i * right[o + 1], i * right[o + 2], i * right[o + 3]
+    while r > first + 4:
+        r -= 1
+        q, p = row[r], 4 * r
+        a, b, c, d = values[p], values[p + 1], values[p + 2], values[p + 3]
+        x, y, z, w = right[q], right[q + 1], right[q + 2], right[q + 3]
+        x0, y0, z0, w0 = x0 - a * x, y0 - a * y, z0 - a * z, w0 - a * w
+        x1, y1, z1, w1 = x1 - b * x, y1 - b * y, z1 - b * z, w1 - b * w
+        x2, y2, z2, w2 = x2 - c * x, y2 - c * y, z2 - c * z, w2 - c * w
+        x3, y3, z3, w3 = x3 - d * x, y3 - d * y, z3 - d * z, w3 - d * w
+    a, b, c = values[e + 12], values[e + 13], values[e + 14]
+    x0, y0, z0, w0 = x0 - a * x3, y0 - a * y3, z0 - a * z3, w0 - a * w3
+    x1, y1, z1, w1 = x1 - b * x3, y1 - b * y3, z1 - b * z3, w1 - b * w3
+    x2, y2, z2, w2 = x2 - c * x3, y2 - c * y3, z2 - c * z3, w2 - c * w3
+    a, b = values[e + 8], values[e + 9]
+    x0, y0, z0, w0 = x0 - a * x2, y0 - a * y2, z0 - a * z2, w0 - a * w2
+    x1, y1, z1, w1 = x1 - b * x2, y1 - b * y2, z1 - b * z2, w1 - b * w2
+    a = values[e + 4]
+    right[o], right[o + 1], right[o + 2], right[o + 3] = x0 - a * x1, y0 - a * y1, z0 - a * z1, w0 - a * w1
+    right[o + 4], right[o + 5], right[o + 6], right[o + 7] = x1, y1, z1, w1
+    right[o + 8], right[o + 9], right[o + 10], right[o + 11] = x2, y2, z2, w2
+    right[o + 12], right[o + 13], right[o + 14], right[o + 15] = x3, y3, z3, w3
 
 
 @inner
 def forward(model, scratch):
     """L⁻¹ of the right sides, in place."""
-    start = model.factor_across_start
-    for i in range(model.factor_vertex.size):
-        _gather(scratch.right, 4 * i, 1.0, start[i], start[i + 1], model.factor_across_column, scratch.factor_across)
+    for k in range(4 * model.factor_vertex.size, scratch.right.size):
+        scratch.right[k] = 0.0  # beyond the last panel, whatever was there: times zero, not-a-number would not be zero
+    for panel in range(model.factor_start.size - 1):
+        _forward(model, scratch, panel, scratch.right)
 
 
 @inner
 def backward(model, scratch):
     """L⁻ᵀ D⁻¹ of the right sides, in place."""
-    start, inverse = model.factor_start, scratch.factor_inverse
-    for k in range(model.factor_vertex.size):
-        i = model.factor_vertex.size - 1 - k
-        _gather(scratch.right, 4 * i, inverse[i], start[i], start[i + 1], model.factor_row, scratch.factor_down)
+    panels = model.factor_start.size - 1
+    for k in range(panels):
+        _backward(model, scratch, panels - 1 - k, scratch.right)
 
 
 @inner
 def mark_path(model, scratch, row):
-    """Mark a row and all that its elimination reaches, its ancestors in the elimination tree."""
-    rows = model.factor_vertex.size
-    while row < rows and scratch.path[row] == 0:
-        scratch.path[row] = 1
-        first = model.factor_start[row]
-        row = int(model.factor_row[first]) // 4 if first < model.factor_start[row + 1] else rows
+    """Mark the panel of a row and all that its elimination reaches, its ancestors in the elimination tree."""
+    panel, panels = int(model.factor_panel[row]), scratch.path.size
+    while panel < panels and scratch.path[panel] == 0:
+        scratch.path[panel] = 1
+        below, last = model.factor_start[panel] + 4, model.factor_start[panel + 1]
+        panel = int(model.factor_panel[model.factor_row[below] // 4]) if below < last else panels
 
 
 @inner
 def list_path(scratch):
-    """Rows that are marked into scratch.path_row, ascending; their number. None is marked then."""
+    """Panels that are marked into scratch.path_panel, ascending; their number. None is marked then."""
     count = 0
-    for row in range(scratch.path.size):
-        scratch.path_row[count] = row
-        count += scratch.path[row]
-        scratch.path[row] = 0
+    for panel in range(scratch.path.size):
+        scratch.path_panel[count] = panel
+        count += scratch.path[panel]
+        scratch.path[panel] = 0
     return count
 
 
 @inner
 def forward_path(model, scratch, count, right):
-    """L⁻¹ of right sides that are zero but on the listed path of ``count`` rows, in place."""
+    """L⁻¹ of right sides that are zero but on the listed path of ``count`` panels, in place."""
     for m in range(count):
-        j = scratch.path_row[m]
-        x, y, z, w = right[4 * j], right[4 * j + 1], right[4 * j + 2], right[4 * j + 3]
-        for e in range(model.factor_start[j], model.factor_start[j + 1]):
-            o, a = model.factor_row[e], scratch.factor_down[e]
-            right[o], right[o + 1] = right[o] - a * x, right[o + 1] - a * y
-            right[o + 2], right[o + 3] = right[o + 2] - a * z, right[o + 3] - a * w
+        _forward(model, scratch, scratch.path_panel[m], right)
 
 
 @inner
-def backward_path(model, scratch, count, source, out):
-    """Rows of L⁻ᵀ D⁻¹ of ``source`` on the listed path of ``count`` rows into ``out``."""
+def backward_path(model, scratch, count, right):
+    """Rows of L⁻ᵀ D⁻¹ of the right sides on the listed path of ``count`` panels, in place."""
     for m in range(count):
-        i = scratch.path_row[count - 1 - m]
-        o, scale = 4 * i, scratch.factor_inverse[i]
-        x, y, z, w = scale * source[o], scale * source[o + 1], scale * source[o + 2], scale * source[o + 3]
-        for e in range(model.factor_start[i], model.factor_start[i + 1]):
-            j, a = model.factor_row[e], scratch.factor_down[e]
-            x, y, z, w = x - a * out[j], y - a * out[j + 1], z - a * out[j + 2], w - a * out[j + 3]
-        out[o], out[o + 1], out[o + 2], out[o + 3] = x, y, z, w
+        _backward(model, scratch, scratch.path_panel[count - 1 - m], right)
 
 
 @inner
-def clear_path(scratch, count, right):
-    """Right sides of the listed path of ``count`` rows become zero."""
+def copy_path(model, scratch, count, source, right):
+    """Right sides of the listed path of ``count`` panels, from ``source``."""
     for m in range(count):
-        o = 4 * scratch.path_row[m]
-        right[o], right[o + 1], right[o + 2], right[o + 3] = 0.0, 0.0, 0.0, 0.0
+        o = 4 * model.factor_column[scratch.path_panel[m]]
+        for k in range(16):  # what is beyond the panel is on the path, or means nothing
+            right[o + k] = source[o + k]
+
+
+@inner
+def clear_path(model, scratch, count, right):
+    """Right sides of the listed path of ``count`` panels become zero."""
+    for m in range(count):
+        o = 4 * model.factor_column[scratch.path_panel[m]]
+        for k in range(16):
+            right[o + k] = 0.0
+
+
+@inner
+def subtract_path(model, scratch, count, part, right):
+    """Subtract ``part`` from the right sides on the listed path of ``count`` panels."""
+    for m in range(count):
+        panel = scratch.path_panel[m]
+        for k in range(4 * model.factor_column[panel], 4 * model.factor_column[panel + 1]):
+            right[k] -= part[k]

@@ -22,10 +22,11 @@ class Model(NamedTuple):
 
     Counts: V tissue vertices, S springs, T tissue triangles, D blocks of them, N tissue points, n tissues; B bodies,
     that is I instruments and then the rigid bodies that do not move, P parts of bodies, W body vertices, U body
-    triangles, M sample points; K contacts; G holds (a grasper and a tissue), J graspers; Q probes; F rows and N entries
-    below the diagonal of the factor of projective dynamics, of `elimination`. Tissues, and bodies, lie one
-    after the other; ``*_start`` gives where each begins, with one entry more than there are. A triangle's corners are
-    indices into all tissue (or all body) vertices. What no contact or effect of the scene asks for is empty.
+    triangles, M sample points; K contacts; G holds (a grasper and a tissue), J graspers; Q probes; F rows of the
+    factor of projective dynamics, X panels of its columns and Y rows of those, of `elimination`. Tissues, and bodies,
+    lie one after the other; ``*_start`` gives where each begins, with one entry more than there are. A triangle's
+    corners are indices into all tissue (or all body) vertices. What no contact or effect of the scene asks for is
+    empty.
     """
 
     # -- tissue
@@ -81,12 +82,11 @@ class Model(NamedTuple):
     grasp_start: Index  # shape [G + 1], where a hold's anchors begin
     factor_vertex: Index  # shape [F], vertex of each row of the factor
     factor_place: Index  # shape [V], row of each vertex, F where it is fixed
-    factor_start: Index  # shape [F + 1], where the entries of a column begin
-    factor_row: Index  # shape [N], four times the rows of the entries of each column
-    factor_across_start: Index  # shape [F + 1], where the entries of a row begin
-    factor_across_column: Index  # shape [N], four times the columns of the entries of each row
-    factor_across_entry: Index  # shape [N], the entry's number by columns
-    factor_spring: Index  # shape [S], entry of each spring, N where an end is fixed
+    factor_panel: Index  # shape [F], panel of each row
+    factor_column: Index  # shape [X + 1], first column of each panel, and F
+    factor_start: Index  # shape [X + 1], where the rows of a panel begin
+    factor_row: Index  # shape [Y], four times the row; 4 F + 4 where a panel has no such column
+    factor_spring: Index  # shape [S], entry of each spring, 4 Y where an end is fixed
     probe_triangle: Index  # shape [Q]
     integrator: Index  # shape [1], SYMPLECTIC_EULER to PROJECTIVE_DYNAMICS of `stability`
     iterations: Index  # shape [1], of a substep of projective dynamics at most
@@ -219,7 +219,7 @@ class Scratch(NamedTuple):
     which depends on nothing but the model, the parameters and the substep noted beside it.
 
     M is the most touches of a contact; C the most cells that a body's grid has; E the points that a substep of
-    symplectic or implicit Euler, or projective dynamics, may press at once; F, N and D are 0 but for projective
+    symplectic or implicit Euler, or projective dynamics, may press at once; F, X, Y and D are 0 but for projective
     dynamics, D the rows whose compliances are kept.
     """
 
@@ -238,8 +238,8 @@ class Scratch(NamedTuple):
     active_b: Index  # shape [E]
     active_c: Index  # shape [E]
     corner: Index  # shape [V where symplectic Euler meets a contact, else 0], corners of all pressed points, once each
-    path: Index  # shape [F], 1 where a row is reached by the elimination of some rows
-    path_row: Index  # shape [F], the rows that are reached
+    path: Index  # shape [X], 1 where a panel is reached by the elimination of some rows
+    path_panel: Index  # shape [X], the panels that are reached
     touched: Index  # shape [F], rows that contacts and holds press; ascending
     touched_mark: Index  # shape [F], 1 where a row is among them
     touched_count: Index  # shape [1]
@@ -281,12 +281,10 @@ class Scratch(NamedTuple):
     inverse_mass: Real  # [1/kg], shape [V for implicit Euler, else 0]
     loss_now: Real  # [J], shape as inverse_mass
     factor_key: Real  # shape [1 + L], substep [s] and parameters that the factor is made of; kept between calls
-    factor_down: Real  # [1], shape [N], entries of the factor by columns; kept
-    factor_across: Real  # [1], shape [N], the same by rows; kept
-    factor_inverse: Real  # [1/kg], shape [F], inverse of its diagonal; kept
+    factor: Real  # [1], shape [4 Y], its entries, in the place of the diagonal the inverse of that [1/kg]; kept
     compliance: Real  # [1/kg], shape [D D], entries of the inverse matrix between the rows of two slots; kept
-    right: Real  # [kg·m/s], shape [4 F], right sides, x, y, z and padding of a row
-    unit_right: Real  # shape [4 F], right sides of single rows
+    right: Real  # [kg·m/s], shape [4 F + 12], right sides, x, y, z and padding of a row, and what panels lack
+    unit_right: Real  # shape as right, right sides of single rows
     row_press: Real  # shape [5 F], how a row is pressed: sum of directions, and stiffness along and across [kg]
     push: Real  # [1], shape [9 F], directions in which touched rows are pressed
     push_stiffness: Real  # [kg], shape [3 F]

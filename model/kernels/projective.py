@@ -18,11 +18,14 @@ from tissue_contact.kernels.factor import (
     backward,
     backward_path,
     clear_path,
+    copy_path,
+    diagonal,
     forward,
     forward_path,
     list_path,
     mark_path,
     ready,
+    subtract_path,
 )
 from tissue_contact.kernels.forces import clear_contacts, contact_forces, tissue_forces
 from tissue_contact.kernels.slots import (
@@ -179,7 +182,7 @@ def _compliances(model, scratch, count):
     path = list_path(scratch)
     m = 0
     while m < slots:
-        clear_path(scratch, path, work)
+        clear_path(model, scratch, path, work)
         lanes = 0
         while m < slots and lanes < 4:
             if scratch.slot_new[m] == 1:
@@ -191,7 +194,7 @@ def _compliances(model, scratch, count):
         if lanes == 0:
             return
         forward_path(model, scratch, path, work)
-        backward_path(model, scratch, path, work, work)
+        backward_path(model, scratch, path, work)
         for lane in range(lanes):
             own = scratch.lane_slot[lane]
             for other in range(slots):
@@ -243,7 +246,8 @@ def _press_back(model, scratch, count):
     for k in range(count):
         mark_path(model, scratch, int(scratch.touched[k]))
     path = list_path(scratch)
-    backward_path(model, scratch, path, right, work)
+    copy_path(model, scratch, path, right, work)
+    backward_path(model, scratch, path, work)
     stiffness, y = scratch.push_stiffness, scratch.push_size
     m = 0
     for k in range(count):
@@ -251,18 +255,15 @@ def _press_back(model, scratch, count):
         m = _directions_of(scratch, row, scratch.push, m, stiffness)
         for i in range(before, m):
             scratch.push_row[i] = row
-            stiffness[i] = max(stiffness[i], FAINT / scratch.factor_inverse[row])
+            stiffness[i] = max(stiffness[i], FAINT / scratch.factor[diagonal(model, row)])
             y[i] = _along(scratch, i, work)
     if few:
         _solve_few(scratch, y, m)
     else:
         _solve_many(model, scratch, path, y, m)
-    _spread(scratch, path, y, m, work)
+    _spread(model, scratch, path, y, m, work)
     forward_path(model, scratch, path, work)
-    for i in range(path):
-        o = 4 * scratch.path_row[i]
-        for lane in range(3):
-            right[o + lane] -= work[o + lane]
+    subtract_path(model, scratch, path, work, right)
     changed = 0.0
     for i in range(m):
         changed += abs(y[i])
@@ -277,9 +278,9 @@ def _along(scratch, i, values):
 
 
 @inner
-def _spread(scratch, path, y, m, out):
-    """E y of m pushes into ``out``, on the listed path of ``path`` rows."""
-    clear_path(scratch, path, out)
+def _spread(model, scratch, path, y, m, out):
+    """E y of m pushes into ``out``, on the listed path of ``path`` panels."""
+    clear_path(model, scratch, path, out)
     for i in range(m):
         o = 4 * scratch.push_row[i]
         for axis in range(3):
@@ -314,9 +315,9 @@ def _solve_many(model, scratch, path, y, m):
     for _ in range(m):
         if square <= enough:
             return
-        _spread(scratch, path, search, m, work)
+        _spread(model, scratch, path, search, m, work)
         forward_path(model, scratch, path, work)
-        backward_path(model, scratch, path, work, work)
+        backward_path(model, scratch, path, work)
         curve = 0.0
         for i in range(m):
             product[i] = search[i] / h[i] + _along(scratch, i, work)
