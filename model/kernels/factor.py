@@ -87,31 +87,58 @@ def _fill(model, parameters, scratch, dt):
 
 
 @inner
+def _factorise_columns(values, first, last):
+    """L and 1/D in the place of the entries of one panel, from which all that others change is subtracted."""
+    for j in range(4):
+        inverse = 1.0 / values[4 * (first + j) + j]
+        for k in range(j + 1, 4):
+            scaled = inverse * values[4 * (first + k) + j]
+            for r in range(first + k, first + 4):
+                values[4 * r + k] -= scaled * values[4 * r + j]
+        values[4 * (first + j) + j] = inverse
+        for r in range(first + j + 1, first + 4):
+            values[4 * r + j] *= inverse
+    e = 4 * first
+    i0, i1, i2, i3 = values[e], values[e + 5], values[e + 10], values[e + 15]
+    l10, l20, l21 = values[e + 4], values[e + 8], values[e + 9]
+    l30, l31, l32 = values[e + 12], values[e + 13], values[e + 14]
+    for r in range(first + 4, last):
+        a = values[4 * r]
+        b = values[4 * r + 1] - a * l10
+        c = values[4 * r + 2] - a * l20 - b * l21
+        d = values[4 * r + 3] - a * l30 - b * l31 - c * l32
+        values[4 * r], values[4 * r + 1], values[4 * r + 2], values[4 * r + 3] = a * i0, b * i1, c * i2, d * i3
+
+
+@inner
 def _factorise(model, scratch):
     """L and 1/D in the place of A, one panel after the other: what it changes is changed at once."""
-    start, row, values = model.factor_start, model.factor_row, scratch.factor
+    start, row, values, scaled = model.factor_start, model.factor_row, scratch.factor, scratch.unit_right
     for panel in range(start.size - 1):
         first, last = start[panel], start[panel + 1]
-        for j in range(4):
-            inverse = 1.0 / values[4 * (first + j) + j]
-            for k in range(j + 1, 4):
-                scaled = inverse * values[4 * (first + k) + j]
-                for r in range(first + k, last):
-                    values[4 * r + k] -= scaled * values[4 * r + j]
-            values[4 * (first + j) + j] = inverse
-            for r in range(first + j + 1, last):
-                values[4 * r + j] *= inverse
-        d0, d1 = 1.0 / values[4 * first], 1.0 / values[4 * first + 5]
-        d2, d3 = 1.0 / values[4 * first + 10], 1.0 / values[4 * first + 15]
-        for s in range(first + 4, last):
-            other = model.factor_panel[row[s] // 4]
-            at, column = start[other], row[s] // 4 - model.factor_column[other]
-            a, b, c, d = d0 * values[4 * s], d1 * values[4 * s + 1], d2 * values[4 * s + 2], d3 * values[4 * s + 3]
-            for r in range(s, last):
+        _factorise_columns(values, first, last)
+        s = first + 4
+        while s < last:
+            begin, other = s, model.factor_panel[row[s] // 4]
+            for k in range(16):
+                scaled[k] = 0.0
+            while s < last and model.factor_panel[row[s] // 4] == other:
+                column = row[s] // 4 - model.factor_column[other]
+                for k in range(4):
+                    scaled[4 * k + column] = values[4 * s + k] / values[4 * (first + k) + k]
+                s += 1
+            at = int(start[other])
+            for r in range(begin, last):
                 while row[at] != row[r]:  # it has all of these rows
                     at += 1
-                change = a * values[4 * r] + b * values[4 * r + 1] + c * values[4 * r + 2] + d * values[4 * r + 3]
-                values[4 * at + column] -= change
+                o, a, b, c, d = 4 * at, values[4 * r], values[4 * r + 1], values[4 * r + 2], values[4 * r + 3]
+                # what is above the diagonal means nothing
+                values[o], values[o + 1], values[o + 2], values[o + 3] = (
+                    values[o] - (a * scaled[0] + b * scaled[4]) - (c * scaled[8] + d * scaled[12]),
+                    values[o + 1] - (a * scaled[1] + b * scaled[5]) - (c * scaled[9] + d * scaled[13]),
+                    values[o + 2] - (a * scaled[2] + b * scaled[6]) - (c * scaled[10] + d * scaled[14]),
+                    values[o + 3] - (a * scaled[3] + b * scaled[7]) - (c * scaled[11] + d * scaled[15]),
+                )
 
 
 @inner
