@@ -246,6 +246,22 @@ def test_a_changed_parameter_and_another_step_make_another_factor():
     assert (_inverses(instance) > second).all()
 
 
+def test_right_sides_of_another_step_do_not_matter():
+    """Nor those of columns that a panel lacks, which are read times zero."""
+    fresh, spoiled = (Instance(scene(triangles=24)) for _ in range(2))
+    assert np.diff(fresh.model.factor_column)[-1] < 4, "the last panel reaches beyond all rows"
+    for instance in (fresh, spoiled):
+        instance.inputs[:] = pressed()[0]
+        instance.initialize()
+    for pose in pressed()[1:61]:
+        spoiled.scratch.right[:] = spoiled.scratch.unit_right[:] = np.nan
+        for instance in (fresh, spoiled):
+            instance.inputs[:] = pose
+            instance.step(1e-3)
+        assert np.array_equal(fresh.outputs, spoiled.outputs)
+    assert fresh.scratch.touched_count[0] > 0
+
+
 @pytest.mark.parametrize("effect", ["nonlinearity = 1.0", "area_stiffness = 10.0"])
 def test_what_the_matrix_does_not_know_is_refused(effect):
     with pytest.raises(InputError, match=rf"no other forces.*{effect.split()[0]}.*implicit_euler"):
