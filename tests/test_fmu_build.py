@@ -24,6 +24,7 @@ from tissue_contact.fmu.build import build
 from tissue_contact.fmu.check import check, fmi_functions
 from tissue_contact.fmu.exports import exported
 from tissue_contact.fmu.units import base_unit
+from tissue_contact.kernels.bundle import Bundle
 from tissue_contact.variables import Variable
 
 PNG = bytes.fromhex(
@@ -521,13 +522,14 @@ def test_fmu_gives_the_bits_of_the_same_kernels_in_python(fmu):
 
     assembly = tiny_assembly()
     made = Instance(fmu).start()
-    bundles = (assembly.model, assembly.parameters, assembly.state, assembly.inputs)
-    assert initialize(*bundles, assembly.outputs, assembly.scratch) == 0
+    bundles = (Bundle(assembly.model), assembly.parameters, Bundle(assembly.state), assembly.inputs)
+    scratch = Bundle(assembly.scratch)
+    assert initialize(*bundles, assembly.outputs, scratch) == 0
     for k in range(500):
         assembly.inputs[0] = math.cos(0.1 * k)
         assert made.set({PULL: assembly.inputs[0]}) == OK
         assert made.step(k * 1e-3, 1e-3) == OK
-        assert step(*bundles, 1e-3, assembly.outputs, assembly.scratch) == 0
+        assert step(*bundles, 1e-3, assembly.outputs, scratch) == 0
         assert made.get(2, 3, 4)[1] == list(assembly.outputs)
     made.free()
 

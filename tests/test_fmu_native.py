@@ -11,6 +11,7 @@ from tissue_contact.errors import InputError, WorkError
 from tissue_contact.fmu import native
 from tissue_contact.fmu.build import build
 from tissue_contact.fmu.native import drive, runner
+from tissue_contact.kernels.bundle import Bundle
 
 H = 1e-3
 LINUX = pytest.mark.skipif(native.host_platform() != "linux64", reason="needs Linux on x86-64")
@@ -37,11 +38,12 @@ def in_python(inputs, gain=2.0):
     a = tiny_assembly(vertices=37)
     a.parameters[0] = gain
     a.inputs[:] = inputs[0]
-    assert initialize(a.model, a.parameters, a.state, a.inputs, a.outputs, a.scratch) == 0
+    model, state, scratch = Bundle(a.model), Bundle(a.state), Bundle(a.scratch)
+    assert initialize(model, a.parameters, state, a.inputs, a.outputs, scratch) == 0
     out = np.empty((len(inputs), 3))
     for row, given in zip(out, inputs, strict=True):
         a.inputs[:] = given
-        assert step(a.model, a.parameters, a.state, a.inputs, H, a.outputs, a.scratch) == 0
+        assert step(model, a.parameters, state, a.inputs, H, a.outputs, scratch) == 0
         row[:] = a.outputs
     return out
 

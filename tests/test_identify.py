@@ -156,6 +156,21 @@ def test_the_optimum_is_that_of_scipy_with_differences():
     assert np.array([e.value for e in found.estimates]) == pytest.approx(other.x * scale, rel=1e-4)
 
 
+def test_the_jacobian_is_asked_for_once_at_each_place():
+    asked, law = [], "hunt_crossley"
+
+    class Counted(Force):
+        def slopes(self, constants):
+            asked.append(tuple(constants))
+            return super().slopes(constants)
+
+    force = Counted(law, swept())
+    lower, upper = np.array([[c.minimum, c.maximum] for c in constants_of(law, False)]).T
+    found = fit(force, force.values(TRUTH[law]), [TRUTH[law] * 1.1], lower, upper)
+    assert len(asked) == len(set(asked)) > 1
+    assert tuple(found.values) in asked
+
+
 def test_given_constants_and_bounds_are_kept():
     force = Force("hunt_crossley", swept())(TRUTH["hunt_crossley"])[0]
     found = fitted(swept(), force, laws=("hunt_crossley",), given={"exponent": 1.5}, bounds={"dissipation": (0.0, 1.0)})
