@@ -82,13 +82,13 @@ def _parents(lower: csc_matrix) -> IntArray:
 
 
 def _postorder(lower: csc_matrix) -> IntArray:
-    """Place of each column in an order that fills in alike, right after all that change it, the longest one last."""
+    """Place of each column in an order that fills in alike, right after all that change it."""
     count, parent = lower.shape[0], _parents(lower)
     size = np.ones(count + 1, np.int64)
     for column in range(count):
         size[parent[column]] += size[column]
     position, last = np.empty(count, np.int64), np.full(count + 1, count - 1)
-    for column in np.lexsort((-np.diff(lower.indptr), -parent)):
+    for column in reversed(range(count)):
         position[column] = last[parent[column]]
         last[parent[column]] -= size[column]
         last[column] = position[column] - 1

@@ -248,7 +248,7 @@ def test_a_changed_parameter_and_another_step_make_another_factor():
 
 def test_right_sides_of_another_step_do_not_matter():
     """Nor those of columns that a panel lacks, which are read times zero."""
-    fresh, spoiled = (Instance(scene(triangles=24)) for _ in range(2))
+    fresh, spoiled = (Instance(scene(triangles=16)) for _ in range(2))
     assert np.diff(fresh.model.factor_column)[-1] < 4, "the last panel reaches beyond all rows"
     for instance in (fresh, spoiled):
         instance.inputs[:] = pressed()[0]
