@@ -16,7 +16,7 @@ from tissue_contact.kernels import slots
 from tissue_contact.kernels.collision import BODIES, FIELD, LITERAL, POLYTOPE, PRIMITIVE
 from tissue_contact.kernels.laws import HUNT_CROSSLEY, KELVIN_VOIGT
 from tissue_contact.kernels.layout import Model, Scratch, State, pack
-from tissue_contact.kernels.occupancy import WORD
+from tissue_contact.kernels.occupancy import ANYWHERE, WORD
 from tissue_contact.kernels.stability import (
     EXPLICIT_EULER,
     IMPLICIT_EULER,
@@ -263,7 +263,7 @@ def _blocks(scene: Scene, sheets: list[Sheet], vertex_start: IntArray, triangle_
     """The arrays of the blocks, of tissues that a contact looks at: fields block_ of the Model."""
     asked = {c.between[0] for c in scene.contact}
     found = [
-        blocks_of(sheet.surface.vertices, sheet.surface.triangles) if tissue.name in asked else Blocks([], [])
+        blocks_of(sheet.surface.vertices, sheet.surface.triangles) if tissue.name in asked else Blocks([], [], [])
         for tissue, sheet in zip(scene.tissue, sheets, strict=True)
     ]
     triangles = [part + start for b, start in zip(found, triangle_start, strict=False) for part in b.triangles]
@@ -274,6 +274,7 @@ def _blocks(scene: Scene, sheets: list[Sheet], vertex_start: IntArray, triangle_
         "block_triangle": _joined(triangles),
         "block_vertex_start": _starts([len(part) for part in vertices]),
         "block_vertex": _joined(vertices),
+        "block_middle": _shifted([np.array(b.middles, np.intp) for b in found], vertex_start),
     }
 
 
@@ -359,18 +360,17 @@ def _state(scene: Scene, model: Model, sizes: Sizes) -> State:
     pose += [[*r.position, *r.rotation] for r in scene.rigid]
     touches, vertices = int(model.contact_touch_start[-1]), len(model.rest_x)
     each = {
-        **dict.fromkeys(
-            ("pairs", "rejected", "touches", "regions", "near_count", "touch_load", "deepest", "tissue_speed"), contacts
-        ),
+        **dict.fromkeys(("pairs", "rejected", "touches", "regions", "near_count", "touch_load", "deepest"), contacts),
         **dict.fromkeys(("since_detection", "dissipated", "work", "stored", "energy_start"), 1),
         **dict.fromkeys(("put_in", "gained", "returned", "found"), 1),
-        "crush": len(scene.tissue),
+        **dict.fromkeys(("crush", "tissue_speed"), len(scene.tissue)),
         **dict.fromkeys(("closed", "held", "held_area"), holds),
         "side": model.contact_side_start[-1],
         "near": model.contact_near_start[-1],
         "tuned": sizes.parameters,
     }
     start = {"x": model.rest_x, "y": model.rest_y, "z": model.rest_z, "pose": np.array(pose).ravel()}
+    start["block_reach"] = np.full(len(model.block_middle), ANYWHERE)
     for name in State._fields:
         if name not in start:
             groups = {"touch_": touches, "anchor_": int(model.grasp_start[-1])}

@@ -15,6 +15,7 @@ class Blocks(NamedTuple):
 
     triangles: list[NDArray[np.intp]]  # each triangle once
     vertices: list[IntArray]  # their corners
+    middles: list[int]  # the corner nearest to the middle of the box of each
 
 
 def blocks_of(vertices: FloatArray, triangles: IntArray) -> Blocks:
@@ -30,4 +31,11 @@ def blocks_of(vertices: FloatArray, triangles: IntArray) -> Blocks:
         axis = np.ptp(middles[part], axis=0).argmax()
         order = part[np.argsort(middles[part, axis], kind="stable")]
         parts += [order[len(part) // 2 :], order[: len(part) // 2]]
-    return Blocks(found, [np.unique(triangles[part]) for part in found])
+    corners = [np.unique(triangles[part]) for part in found]
+    return Blocks(found, corners, [int(own[_central(vertices[own])]) for own in corners])
+
+
+def _central(places: FloatArray) -> int:
+    """Which of some places [n, 3] is nearest to the middle of their box."""
+    middle = (places.min(axis=0) + places.max(axis=0)) / 2
+    return int(((places - middle) ** 2).sum(axis=1).argmin())

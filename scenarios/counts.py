@@ -42,14 +42,18 @@ def _motion(m: Model, passes: int) -> Part:
     return Part("motion", passes, 40 * v, 0, v * (6 * VECTOR + 5 * REAL))
 
 
+def _near(m: Model, state: State) -> NDArray[np.intp]:
+    """Triangles near a field."""
+    found = zip(m.contact_near_start, state.near_count, strict=False)
+    return np.concatenate([state.near[start : start + n] for start, n in found]).astype(np.intp)
+
+
 def _contact(m: Model, state: State, pressed: int, passes: int) -> Part:
     """A field at points: point 15, distance to a capsule 20; of a pressed one point 15, motion 27, force 75.
 
     Of a triangle corners 9, into the body 45.
     """
-    triangles = np.concatenate(
-        [state.near[start : start + n] for start, n in zip(m.contact_near_start, state.near_count, strict=False)]
-    ).astype(int)
+    triangles = _near(m, state)
     points = int((m.triangle_point_start[triangles + 1] - m.triangle_point_start[triangles]).sum())
     triangle = 4 * INDEX + 3 * VECTOR
     amount = len(triangles) * triangle + points * 3 * REAL + pressed * (REAL + 9 * VECTOR)
@@ -97,10 +101,16 @@ def _energies(m: Model) -> Part:
     return Part("energies", 1, 12 * s + 18 * v, s, s * (2 * INDEX + 2 * REAL) + v * (3 * VECTOR + REAL))
 
 
-def _detection(m: Model, passes: int) -> Part:
-    """Every vertex into the frame of the body 18, six comparisons; the corners of every triangle."""
-    v, t = m.rest_x.size, m.triangle_a.size
-    return Part("detection", passes, 24 * v, 0, v * (2 * VECTOR + INDEX) + t * 4 * INDEX)
+def _detection(m: Model, state: State, substeps: int, passes: int) -> Part:
+    """A vertex into the frame of the body 18, six comparisons; the corners of what is near.
+
+    Every vertex, or where one substep lies between two detections the middles of the blocks and these corners.
+    """
+    near, v = _near(m, state), m.rest_x.size
+    if substeps == passes:
+        corners = np.unique([side[near] for side in (m.triangle_a, m.triangle_b, m.triangle_c)])
+        v = m.block_middle.size + corners.size
+    return Part("detection", passes, 24 * v, 0, v * (2 * VECTOR + INDEX) + len(near) * 4 * INDEX)
 
 
 def _backup(assembly: Assembly) -> Part:
@@ -111,7 +121,7 @@ def _backup(assembly: Assembly) -> Part:
 def parts(assembly: Assembly, state: State, scratch: Scratch, substeps: int, detections: int) -> list[Part]:
     """Parts of a step of symplectic Euler or projective dynamics at a state, as it was left by a step."""
     m, pressed = assembly.model, int(scratch.active[0])
-    common = [_energies(m), _detection(m, detections), _backup(assembly)]
+    common = [_energies(m), _detection(m, state, substeps, detections), _backup(assembly)]
     if m.integrator[0] == PROJECTIVE_DYNAMICS:
         n = substeps * int(m.iterations[0])
         solved = [_substitutions(m, n), _residual(m, n), _pressed_rows(m, scratch, n)]

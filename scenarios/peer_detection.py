@@ -5,6 +5,7 @@ timed; asked to take them over and to find, which is; and what was found is coun
 millimetres for the peers: some have absolute tolerances.
 """
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -39,7 +40,7 @@ class Detection(Protocol):
 @kernel
 def _detect(model, state, scratch):  # type: ignore[no-untyped-def]
     """The kernel for Python, which only kernels may call."""
-    return detect_all(model, state, scratch, 0.0)
+    return detect_all(model, state, scratch, 0.0, math.inf)
 
 
 class Ours:

@@ -139,7 +139,7 @@ def _energies(model, parameters, state, scratch, n):
 @kernel
 def _detection(model, parameters, state, scratch, n):
     for _ in range(n):
-        forces.detect_all(model, state, scratch, 0.0)
+        forces.detect_all(model, state, scratch, 0.0, 0.0)
 
 
 TIMED: dict[str, Callable[..., None]] = {

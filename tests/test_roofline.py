@@ -47,6 +47,7 @@ def test_counts_follow_the_sizes_of_the_arrays():
     assert found["springs"] == Part("springs", 7, 20 * springs, springs, 24 * springs + 72 * vertices)
     assert found["contact"].passes == 8
     assert found["contact"].flops == 0  # nothing is near at the start
+    assert found["detection"] == Part("detection", 1, 24 * vertices, 0, 52 * vertices)
     implicit = assembled(SCENE.format(integrator="projective_dynamics"))
     found = {part.name: part for part in parts(implicit, implicit.state, implicit.scratch, 1, 1)}
     m = implicit.model
@@ -57,6 +58,7 @@ def test_counts_follow_the_sizes_of_the_arrays():
     size = 16 * n + 8 * m.factor_row.size + 136 * rows
     assert found["substitutions"] == Part("substitutions", 3, 12 * n + 3 * rows, 0, size)
     assert found["pressed rows"].flops == 0
+    assert found["detection"].flops == 24 * m.block_middle.size > 0, "only the middles of blocks"
     assert found["contact"].passes == 4, "one for every iteration, and one for the outputs"
 
 

@@ -2,15 +2,15 @@
 
 Space is cut in equal cells, here in the body frame of the instrument: the instrument is rigid, so its own occupancy is
 found once, offline, and the hash of a cell is its number in the grid over the instrument's box. Cells of a detection
-are *empty*, *solo* (one object) or *potentially colliding* (both). The cascade: the whole tissue against the
-instrument's box, then blocks of its triangles, then each triangle (all by the faces that the vertices lie beyond), then
-the cells, and only the potentially colliding ones go to the exact triangle-triangle test. Cost follows the contact
-region but for the first two: a change of frame for every vertex, and a look at it for its block.
+are *empty*, *solo* (one object) or *potentially colliding* (both). The cascade: blocks of
+tissue triangles against the instrument's box, first by a ball around each, then each triangle (by the faces that the
+vertices lie beyond), then the cells, and only the potentially colliding ones go to the exact triangle-triangle test.
+Cost follows the contact region but for the balls.
 """
 
 from tissue_contact.kernels.collision import facing, pair_point, shaft
 from tissue_contact.kernels.compiled import inner
-from tissue_contact.kernels.occupancy import find_candidates, locate
+from tissue_contact.kernels.occupancy import find_candidates
 from tissue_contact.kernels.side import REJECTED, latch
 from tissue_contact.kernels.tritri import INTERSECT, intersect
 from tissue_contact.kernels.vectors import cross, dot
@@ -111,7 +111,7 @@ def _latch(model, scratch, latched, n, t1, t2, t3):
 
 
 @inner
-def detect(model, state, scratch, contact, r, p):
+def detect(model, state, scratch, contact, r, p, known):
     """Find the intersecting triangle pairs of one contact, into scratch.pair_triangle and scratch.pair_instrument.
 
     Parameters
@@ -120,6 +120,8 @@ def detect(model, state, scratch, contact, r, p):
         Which declared contact.
     r, p : tuple of nine, tuple of three
         Rotation matrix and position [m] of the instrument's body frame.
+    known : bool
+        As for `find_candidates`.
 
     Returns
     -------
@@ -132,31 +134,14 @@ def detect(model, state, scratch, contact, r, p):
     edge = model.grid_cell[i]
     low = (model.grid_low[3 * i], model.grid_low[3 * i + 1], model.grid_low[3 * i + 2])
     high = (low[0] + nx * edge, low[1] + ny * edge, low[2] + nz * edge)
-    common = locate(
-        state.x,
-        state.y,
-        state.z,
-        model.tissue_vertex_start[tissue],
-        model.tissue_vertex_start[tissue + 1],
-        r,
-        p,
-        low,
-        high,
-        scratch.local_x,
-        scratch.local_y,
-        scratch.local_z,
-        scratch.outcode,
-    )
-    if common != 0 and state.near_count[contact] == 0:
-        return OK  # nothing touches and nothing is latched
     capacity = model.contact_touch_start[contact + 1] - model.contact_touch_start[contact]
     origin, sides = model.tissue_triangle_start[tissue], model.contact_side_start[contact]
     begin = model.contact_near_start[contact]
-    candidates = find_candidates(model, state, scratch, contact)
+    candidates = find_candidates(model, state, scratch, contact, r, p, low, high, known)
     state.pairs[contact] = 0
     state.rejected[contact] = 0
     state.near_count[contact] = 0
-    if common != 0:
+    if candidates == 0:
         return OK
     for k in range(model.body_triangle_start[i], model.body_triangle_start[i + 1]):
         scratch.stamp[k] = 0

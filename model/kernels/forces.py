@@ -1,11 +1,14 @@
 """All the forces of a scene at one moment: tissue, contacts, holds."""
 
+import math
+
 from tissue_contact.kernels.collision import BODIES, FIELD
 from tissue_contact.kernels.compiled import inner
 from tissue_contact.kernels.constraints import add_area_forces, add_volume_forces, enclosed_volume
 from tissue_contact.kernels.detection import detect
 from tissue_contact.kernels.grasp import pull
 from tissue_contact.kernels.near import find_near_samples, find_near_triangles
+from tissue_contact.kernels.occupancy import ANYWHERE, loosen
 from tissue_contact.kernels.pressure import press_bodies, press_tissue
 from tissue_contact.kernels.response import respond
 from tissue_contact.kernels.slots import (
@@ -51,8 +54,15 @@ def motion_of(scratch, body):
 
 
 @inner
-def detect_all(model, state, scratch, elapsed):
-    """Find what touches, or may touch until the next detection; the status."""
+def detect_all(model, state, scratch, elapsed, drift):
+    """Find what touches, or may touch until the next detection; the status.
+
+    Since the last detection every vertex has moved by ``drift`` [s] times its velocity, of which state.tissue_speed has
+    the greatest; infinite where that is not so.
+    """
+    known = drift < math.inf
+    for n in range(model.tissue_rate.size):
+        loosen(model, state, n, drift * state.tissue_speed[n] if known else ANYWHERE)
     for k in range(model.contact_body.size):
         r, p = pose_of(state, scratch, model.contact_body[k], elapsed)
         kind = model.contact_response[k]
@@ -60,26 +70,14 @@ def detect_all(model, state, scratch, elapsed):
             r2, p2 = pose_of(state, scratch, model.contact_other[k], elapsed)
             find_near_samples(model, state, k, r, p, r2, p2)
         elif kind == FIELD:
-            find_near_triangles(model, state, scratch, k, r, p)
+            find_near_triangles(model, state, scratch, k, r, p, known)
         else:
-            status = detect(model, state, scratch, k, r, p)
+            status = detect(model, state, scratch, k, r, p, known)
             if status != OK:
                 return status
             find_touches(model, state, scratch, k, r)
-        _note_speed(model, state, k)
     state.since_detection[0] = 0.0
     return OK
-
-
-@inner
-def _note_speed(model, state, contact):
-    """Note the greatest speed of the contact's tissue, for the motion until the next detection."""
-    square = 0.0
-    if model.continuous[0] == 1 and model.contact_response[contact] != BODIES:
-        tissue = model.contact_tissue[contact]
-        for v in range(model.tissue_vertex_start[tissue], model.tissue_vertex_start[tissue + 1]):
-            square = max(square, state.vx[v] * state.vx[v] + state.vy[v] * state.vy[v] + state.vz[v] * state.vz[v])
-    state.tissue_speed[contact] = square**0.5
 
 
 @inner

@@ -38,6 +38,7 @@ class Model(NamedTuple):
     block_triangle: Index  # shape [T of tissues in contact], each once
     block_vertex_start: Index  # shape [D + 1], where the vertices of a block begin in block_vertex
     block_vertex: Index  # corners of the triangles of each block, once in a block, ascending
+    block_middle: Index  # shape [D], the corner nearest to the middle of a block at rest
     spring_i: Index  # shape [S], first vertex
     spring_j: Index  # shape [S], second vertex
     triangle_a: Index  # shape [T]
@@ -195,7 +196,8 @@ class State(NamedTuple):
     touch_nz: Real  # [1], shape [H]
     touch_load: Real  # [1/m²], shape [K], largest share of a vertex over its area
     deepest: Real  # [m], shape [K], when forces were last evaluated
-    tissue_speed: Real  # [m/s], shape [K], greatest speed of the contact's tissue at the last detection
+    tissue_speed: Real  # [m/s], shape [n], greatest of a vertex when the tissue was last checked
+    block_reach: Real  # [m], shape [D], within which of its middle all vertices of a block are, `ANYWHERE` if not known
     anchor_x: Real  # [m], shape [A], place of an anchor in the body frame
     anchor_y: Real  # [m], shape [A]
     anchor_z: Real  # [m], shape [A]

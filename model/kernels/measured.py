@@ -22,7 +22,7 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
     status = plain_step(model, parameters, state, inputs, h, outputs, scratch)
     substeps = int(outputs[BODY_OUTPUTS * (state.pose.size // POSE) + SUBSTEPS])
     for _ in range(int(parameters[n])):
-        detect_all(model, state, scratch, 0.0)
+        detect_all(model, state, scratch, 0.0, 0.0)
     for _ in range(int(parameters[n + 1]) * substeps):
         clear_contacts(state, scratch)
         contact_forces(model, parameters, state, scratch, 0.0, 0.0, False)

@@ -9,7 +9,7 @@ import math
 from tissue_contact.kernels.collision import facing, shaft
 from tissue_contact.kernels.compiled import inner, pointwise
 from tissue_contact.kernels.field import FAR, GRID, fields_of, part_distance
-from tissue_contact.kernels.occupancy import find_candidates, locate
+from tissue_contact.kernels.occupancy import find_candidates
 from tissue_contact.kernels.side import FACING, REJECTED, latch
 from tissue_contact.kernels.vectors import cross, dot, to_body, to_world
 
@@ -62,11 +62,11 @@ def _nearest_part(model, first, last, p):
 
 
 @inner
-def find_near_triangles(model, state, scratch, contact, r, p):
+def find_near_triangles(model, state, scratch, contact, r, p, known):
     """Find the triangles of a tissue near its body, and on which side of the tissue the body is.
 
-    ``r`` and ``p`` [m] are the rotation matrix and the position of the body frame. The triangles go to state.near,
-    the latched sides to state.side.
+    ``r`` and ``p`` [m] are the rotation matrix and the position of the body frame, ``known`` is as for
+    `find_candidates`. The triangles go to state.near, the latched sides to state.side.
     """
     tissue, body = model.contact_tissue[contact], model.contact_body[contact]
     margin = 2.0 * MOTION * model.contact_reach[contact]
@@ -80,30 +80,13 @@ def find_near_triangles(model, state, scratch, contact, r, p):
         model.body_high[3 * body + 1] + margin,
         model.body_high[3 * body + 2] + margin,
     )
-    common = locate(
-        state.x,
-        state.y,
-        state.z,
-        model.tissue_vertex_start[tissue],
-        model.tissue_vertex_start[tissue + 1],
-        r,
-        p,
-        low,
-        high,
-        scratch.local_x,
-        scratch.local_y,
-        scratch.local_z,
-        scratch.outcode,
-    )
-    if common != 0 and state.near_count[contact] == 0:
-        return  # nothing is near and nothing is latched
     origin, sides = model.tissue_triangle_start[tissue], model.contact_side_start[contact]
     begin = model.contact_near_start[contact]
     first_part, last_part = model.body_part_start[body], model.body_part_start[body + 1]
     axis_part, axis = first_part, shaft(model.part_axis, first_part)
     n, rejected = 0, 0
     x, y, z = scratch.local_x, scratch.local_y, scratch.local_z
-    for k in range(find_candidates(model, state, scratch, contact)):
+    for k in range(find_candidates(model, state, scratch, contact, r, p, low, high, known)):
         t = scratch.candidate[k]
         side = sides + t - origin
         a, b, c = model.triangle_a[t], model.triangle_b[t], model.triangle_c[t]

@@ -169,6 +169,8 @@ def motion_rate(model, state, scratch, with_tissue):
     """How often in a second the objects of a contact move as far as two continuous detections may lie apart [1/s]."""
     rate = 0.0
     for k in range(model.contact_body.size):
-        speed = travel(model, scratch, k, 1.0) + (state.tissue_speed[k] if with_tissue else 0.0)
+        speed = travel(model, scratch, k, 1.0)
+        if with_tissue and model.contact_response[k] != BODIES:
+            speed += state.tissue_speed[model.contact_tissue[k]]
         rate = max(rate, speed / (MOTION * model.contact_reach[k]))
     return rate

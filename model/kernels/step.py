@@ -110,8 +110,29 @@ def _runs_off(state, v):
 
 
 @inner
-def _check_state(state, scratch):
-    """Refuse a tissue that runs off, also before it is looked at: its triangles would meet every cell of a body."""
+def _greatest_speed(vx, vy, vz):
+    """Greatest speed [m/s] of some vertices."""
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    fours = vx.size // 4
+    for k in range(fours):  # one maximum alone would wait for the one before
+        v = 4 * k
+        a = max(a, vx[v] * vx[v] + vy[v] * vy[v] + vz[v] * vz[v])
+        b = max(b, vx[v + 1] * vx[v + 1] + vy[v + 1] * vy[v + 1] + vz[v + 1] * vz[v + 1])
+        c = max(c, vx[v + 2] * vx[v + 2] + vy[v + 2] * vy[v + 2] + vz[v + 2] * vz[v + 2])
+        d = max(d, vx[v + 3] * vx[v + 3] + vy[v + 3] * vy[v + 3] + vz[v + 3] * vz[v + 3])
+    for v in range(4 * fours, vx.size):
+        a = max(a, vx[v] * vx[v] + vy[v] * vy[v] + vz[v] * vz[v])
+    return math.sqrt(max(a, b, c, d))
+
+
+@inner
+def _check_state(model, state, scratch):
+    """Note the greatest speeds. Refuse a tissue that runs off, also before a detection looks at it: its triangles would
+    meet every cell of a body.
+    """
+    for n in range(model.tissue_rate.size):
+        first, last = model.tissue_vertex_start[n], model.tissue_vertex_start[n + 1]
+        state.tissue_speed[n] = _greatest_speed(state.vx[first:last], state.vy[first:last], state.vz[first:last])
     any_lost = False
     for v in range(state.x.size):  # with no way out it runs in vectors
         any_lost |= _runs_off(state, v)[0]
@@ -383,7 +404,9 @@ def initialize(model, parameters, state, inputs, outputs, scratch):
         scratch.factor_key[0] = 0.0  # anew, whatever was before
         ready(model, parameters, scratch, model.step[0])
     scratch.motion[:] = 0.0
-    status = detect_all(model, state, scratch, 0.0)
+    status = _check_state(model, state, scratch)
+    if status == OK:
+        status = detect_all(model, state, scratch, 0.0, math.inf)
     if status != OK:
         return status
     _work_jaws(model, parameters, state, scratch, inputs)
@@ -468,16 +491,17 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
             due = min(due, 1.0 / rate - dt if rate > 0.0 else math.inf)
         # Half a substep of slack: the sum of the substeps only rounds to the period.
         if state.since_detection[0] >= due - 0.5 * dt:
-            status = _check_state(state, scratch)
+            status = _check_state(model, state, scratch)
             if status == OK:
-                status = detect_all(model, state, scratch, (n + 1) * dt)
+                alone = state.since_detection[0] == dt and scheme not in (EXPLICIT_EULER, RUNGE_KUTTA_4)
+                status = detect_all(model, state, scratch, (n + 1) * dt, dt if alone else math.inf)
             if status != OK:
                 return status
         n, done = n + 1, done + 1
     for v in range(state.x.size):
         state.dissipated[0] += scratch.loss[v]
     if state.since_detection[0] > 0.0:  # else checked since it moved
-        status = _check_state(state, scratch)
+        status = _check_state(model, state, scratch)
         if status != OK:
             return status
     stored = give(model, parameters, state, scratch, h, untold, done, outputs)
