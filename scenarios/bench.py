@@ -29,11 +29,13 @@ from tissue_contact.presets import PRESETS
 from tissue_contact.scene import parse_scene
 from tissue_contact.variables import Variable
 
-LEVELS = {"1.5K": 27, "6K": 55, "24K": 110, "96K": 219}  # cells along a side of the sheet, two triangles each
+# Cells along a side of the sheet, two triangles each, and its length [m]: ever finer, and as fine as 6K but larger.
+LEVELS = {"1.5K": (27, 0.06), "6K": (55, 0.06), "24K": (110, 0.06), "96K": (219, 0.06), "96K wide": (220, 0.24)}
 COMPARED = "6K"  # the sheet on which a step has a budget
 STEP = 1e-3  # s
-ROUNDS, PATIENCE = 6, 60.0  # of runs whose difference tells a part's time, and seconds for them
-REPEATS = {"detection": 4, "response": 4, "tissue": 1}  # of a part, to time it: the more, the less it takes
+ROUNDS, PATIENCE = 6, 30.0  # of runs whose difference tells a part's time, and seconds for them
+REPEATS = {"detection": 64, "response": 4, "tissue": 1}  # of a part, to time it: the more, the less it takes
+PARTS = {"accurate": tuple(REPEATS), "fast": ("detection", "response")}  # that are timed; "tissue" is symplectic Euler
 
 SCENE = """
 name = "bench"
@@ -82,9 +84,9 @@ def cut_cells(along: int, across: int) -> NDArray[np.intp]:
     return np.concatenate([np.column_stack([corner, right, right + 1]), np.column_stack([corner, right + 1, up])])
 
 
-def sheet(cells: int) -> str:
-    """OBJ text of a curved sheet of 60 mm, cells x cells, each cut along the same diagonal."""
-    side = np.linspace(-0.03, 0.03, cells + 1)
+def sheet(cells: int, length: float = 0.06) -> str:
+    """OBJ text of a curved square sheet of a length [m], cells x cells, each cut along the same diagonal."""
+    side = np.linspace(-length / 2, length / 2, cells + 1)
     x, y = (c.ravel() for c in np.meshgrid(side, side, indexing="ij"))
     faces = cut_cells(cells, cells) + 1
     lines = [f"v {a!r} {b!r} {-(a * a + b * b) / 0.8!r}" for a, b in zip(x.tolist(), y.tolist(), strict=True)]
@@ -94,7 +96,7 @@ def sheet(cells: int) -> str:
 def write_sheet(level: str, folder: Path) -> Path:
     """Write the sheet of a level to a folder."""
     mesh = folder / f"{level}.obj"
-    mesh.write_text(sheet(LEVELS[level]))
+    mesh.write_text(sheet(*LEVELS[level]))
     return mesh
 
 
@@ -151,8 +153,8 @@ def fastest(fmu: Path, path: Real, starts: dict[str, float] | None = None) -> Re
     return found
 
 
-def part_times(assembly: Assembly, folder: Path, path: Real) -> dict[str, Real]:
-    """Time [µs] of each part in every step: with the part repeated, less without."""
+def part_times(assembly: Assembly, folder: Path, path: Real, parts: Sequence[str]) -> dict[str, Real]:
+    """Time [µs] of parts in every step: with the part repeated, less without."""
     first = len(assembly.parameters)
     repeats = [
         Variable(f"repeat.{part}", "parameters", first + k, "1", 0.0, 0.0, 100.0, f"repeats of {part}")
@@ -165,11 +167,11 @@ def part_times(assembly: Assembly, folder: Path, path: Real) -> dict[str, Real]:
     )
     fmu = build(assembly, folder / "measured.fmu", [host_platform()], kernels=Path(measured.__file__))
     plain = fastest(fmu, path)
-    return {part: (fastest(fmu, path, {f"repeat.{part}": n}) - plain) / n for part, n in REPEATS.items()}
+    return {p: (fastest(fmu, path, {f"repeat.{p}": REPEATS[p]}) - plain) / REPEATS[p] for p in parts}
 
 
-def level_result(text: str, folder: Path, parts: bool = True) -> dict[str, Any]:
-    """All figures of one mesh, in contact and out of it; those of the parts are of symplectic Euler."""
+def level_result(text: str, folder: Path, parts: Sequence[str]) -> dict[str, Any]:
+    """All figures of one mesh, in contact and out of it, with those of some parts."""
     assembly, fmu = built(text, folder)
     inputs = poses()[1:]
     outputs, ns = drive(fmu, inputs, STEP)
@@ -187,7 +189,7 @@ def level_result(text: str, folder: Path, parts: bool = True) -> dict[str, Any]:
         "step": figures(step),
         "step in contact": figures(step[touching]),
     }
-    for part, us in part_times(assembly, folder, inputs).items() if parts else ():
+    for part, us in part_times(assembly, folder, inputs, parts).items() if parts else ():
         result[f"{part} in contact"] = figures(us[touching])
         result[f"{part} out of contact"] = figures(us[~touching])
     return result
@@ -216,7 +218,7 @@ def measure(levels: Sequence[str], say: Callable[[str], None]) -> dict[str, Any]
             what = level + (f" {preset}" if preset != "accurate" else "") + ("" if contact else ", no contact declared")
             say(what)
             text = scene_text(tissues[level], PRESET.format(preset), contact)
-            results[what] = level_result(text, folder, parts=preset == "accurate")
+            results[what] = level_result(text, folder, PARTS.get(preset, ()))
     return results
 
 

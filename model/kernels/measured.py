@@ -1,7 +1,9 @@
 """The step with its parts done again, as often as three more parameters say: what a part costs is the difference.
 
-Built into an FMU by the benchmark only. No time passes in the repeats, so they change neither state nor outputs.
+Built into an FMU by the benchmark only. No time passes in the repeats, so they change neither motion nor outputs.
 """
+
+import math
 
 from tissue_contact.kernels.compiled import kernel
 from tissue_contact.kernels.forces import clear_contacts, contact_forces, detect_all, tissue_forces
@@ -21,8 +23,9 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
     n = parameters.size - 3
     status = plain_step(model, parameters, state, inputs, h, outputs, scratch)
     substeps = int(outputs[BODY_OUTPUTS * (state.pose.size // POSE) + SUBSTEPS])
+    drift = 0.0 if substeps == 1 else math.inf  # between two detections, which may know as much as those of the step
     for _ in range(int(parameters[n])):
-        detect_all(model, state, scratch, 0.0, 0.0)
+        detect_all(model, state, scratch, 0.0, drift)
     for _ in range(int(parameters[n + 1]) * substeps):
         clear_contacts(state, scratch)
         contact_forces(model, parameters, state, scratch, 0.0, 0.0, False)
