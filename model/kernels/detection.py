@@ -2,10 +2,10 @@
 
 Space is cut in equal cells, here in the body frame of the instrument: the instrument is rigid, so its own occupancy is
 found once, offline, and the hash of a cell is its number in the grid over the instrument's box. Cells of a detection
-are *empty*, *solo* (one object) or *potentially colliding* (both). The cascade: blocks of
-tissue triangles against the instrument's box, first by a ball around each, then each triangle (by the faces that the
-vertices lie beyond), then the cells, and only the potentially colliding ones go to the exact triangle-triangle test.
-Cost follows the contact region but for the balls.
+are *empty*, *solo* (one object) or *potentially colliding* (both). The cascade: blocks of tissue triangles against the
+instrument's box, by a ball around each and by the faces that their vertices lie beyond, then each triangle by those of
+its corners, then the cells, and only the potentially colliding ones go to the exact triangle-triangle test. Cost
+follows the contact region but for the balls.
 """
 
 from tissue_contact.kernels.collision import facing, pair_point, shaft

@@ -196,7 +196,7 @@ class State(NamedTuple):
     touch_nz: Real  # [1], shape [H]
     touch_load: Real  # [1/m²], shape [K], largest share of a vertex over its area
     deepest: Real  # [m], shape [K], when forces were last evaluated
-    tissue_speed: Real  # [m/s], shape [n], greatest of a vertex when the tissue was last checked
+    tissue_speed: Real  # [m/s], shape [n], greatest of a vertex at the last check, 0 if not in contact
     block_reach: Real  # [m], shape [D], within which of its middle all vertices of a block are, `ANYWHERE` if not known
     anchor_x: Real  # [m], shape [A], place of an anchor in the body frame
     anchor_y: Real  # [m], shape [A]

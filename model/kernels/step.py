@@ -109,28 +109,34 @@ def _runs_off(state, v):
     return not (size <= PLACE_MAX and math.isfinite(total)), total
 
 
+@pointwise
+def _square(vx, vy, vz, v):
+    """Square of the speed of a vertex [m²/s²]."""
+    return vx[v] * vx[v] + vy[v] * vy[v] + vz[v] * vz[v]
+
+
 @inner
 def _greatest_speed(vx, vy, vz):
     """Greatest speed [m/s] of some vertices."""
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     fours = vx.size // 4
     for k in range(fours):  # one maximum alone would wait for the one before
-        v = 4 * k
-        a = max(a, vx[v] * vx[v] + vy[v] * vy[v] + vz[v] * vz[v])
-        b = max(b, vx[v + 1] * vx[v + 1] + vy[v + 1] * vy[v + 1] + vz[v + 1] * vz[v + 1])
-        c = max(c, vx[v + 2] * vx[v + 2] + vy[v + 2] * vy[v + 2] + vz[v + 2] * vz[v + 2])
-        d = max(d, vx[v + 3] * vx[v + 3] + vy[v + 3] * vy[v + 3] + vz[v + 3] * vz[v + 3])
+        a, b = max(a, _square(vx, vy, vz, 4 * k)), max(b, _square(vx, vy, vz, 4 * k + 1))
+        c, d = max(c, _square(vx, vy, vz, 4 * k + 2)), max(d, _square(vx, vy, vz, 4 * k + 3))
     for v in range(4 * fours, vx.size):
-        a = max(a, vx[v] * vx[v] + vy[v] * vy[v] + vz[v] * vz[v])
+        a = max(a, _square(vx, vy, vz, v))
     return math.sqrt(max(a, b, c, d))
 
 
 @inner
 def _check_state(model, state, scratch):
-    """Note the greatest speeds. Refuse a tissue that runs off, also before a detection looks at it: its triangles would
-    meet every cell of a body.
+    """Note the greatest speeds of tissues in contact, and refuse a tissue that runs off.
+
+    Before a detection as well: triangles far away would meet every cell of a body.
     """
     for n in range(model.tissue_rate.size):
+        if model.tissue_block_start[n + 1] == model.tissue_block_start[n]:
+            continue
         first, last = model.tissue_vertex_start[n], model.tissue_vertex_start[n + 1]
         state.tissue_speed[n] = _greatest_speed(state.vx[first:last], state.vy[first:last], state.vz[first:last])
     any_lost = False
