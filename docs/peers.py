@@ -29,7 +29,11 @@ def run_text(data: Found) -> str:
     """On what it was measured, and what was left out."""
     left_out = data["left out"]
     reasons = "".join(f"- {name}: {reason}\n" for name, reason in left_out.items())
-    head = f"Measured by `make peers` on one core of {data['processor']}, the fastest of {data['rounds']} rounds."
+    rounds = data["rounds"]
+    head = (
+        f"Measured by `make peers` on one core of {data['processor']}, each moment the fastest of {rounds['detection']} "
+        f"rounds of detection and {rounds['step']} of steps."
+    )
     return f"{head} {'Left out:' if left_out else 'Nothing was left out.'}\n{reasons and chr(10) + reasons}"
 
 

@@ -1,7 +1,8 @@
 """`make peers`: detection and step beside libraries of the package index, on one scene, in one run, on one core.
 
 Each is measured in a process of its own, so that one that is missing, fails or hangs leaves the others alone: it is
-named with the reason. The rounds go through all of them one after the other, and the fastest round of each counts.
+named with the reason. The rounds go through all of them one after the other. Each does the same in every round, so of
+each moment its fastest round counts: what other work on the machine adds is left out, for all of them alike.
 """
 
 import importlib.metadata
@@ -41,7 +42,7 @@ from tissue_contact.settings import check_word
 STEPPED = "6K"  # the sheet that is run, and on which steps are compared
 EVERY = 4  # of its milliseconds in contact, how many are one moment to find pairs at
 THINNED = {"1.5K": 1, "6K": 1, "24K": 2, "96K": 5}  # of these moments, how many are one on a sheet
-ROUNDS = 3
+ROUNDS = {"detection": 3, "step": 10}
 LIMIT = 120.0  # s, for one of them in one round
 OURS = "tissue-contact"
 GRADED = "graded"  # as fine as the sheet where the rod gets to, coarser beyond
@@ -122,18 +123,24 @@ def pair_difference(pairs: Real, ours: Real) -> dict[str, float]:
 
 
 def fastest(rounds: list[Real]) -> Real:
-    """The round with the least median."""
-    return min(rounds, key=lambda us: float(np.median(us)))
+    """The least of every moment that all the rounds got to, in which they did the same."""
+    moments = min(len(us) for us in rounds)
+    return np.min([us[:moments] for us in rounds], axis=0)
 
 
 def rounds_of(
-    names: list[str], work: Callable[[str], Any], left_out: dict[str, str], say: Say, once: Collection[str] = ()
+    names: list[str],
+    work: Callable[[str], Any],
+    rounds: int,
+    left_out: dict[str, str],
+    say: Say,
+    once: Collection[str] = (),
 ) -> dict[str, list[Any]]:
     """Results of every round of all names, of some only of the first; one that fails is left out from then on."""
     found: dict[str, list[Any]] = {name: [] for name in names}
-    for n in range(ROUNDS):
+    for n in range(rounds):
         for name in [name for name in found if n == 0 or name not in once]:
-            say(f"round {n + 1} of {ROUNDS}: {name}")
+            say(f"round {n + 1} of {rounds}: {name}")
             try:
                 found[name].append(work(name))
             except LeftOut as error:
@@ -146,7 +153,7 @@ def rounds_of(
 def detection(scene: PeerScene, left_out: dict[str, str], say: Say) -> dict[str, Any]:
     """Figures of all detections on one sheet."""
     names = [name for name in peer_detection.WAYS if name not in left_out]
-    found = rounds_of(names, lambda name: apart(peer_detection.measure, name, scene), left_out, say)
+    found = rounds_of(names, lambda name: apart(peer_detection.measure, name, scene), ROUNDS["detection"], left_out, say)
     ours = found[OURS][0][1]
     return {
         name: {
@@ -178,7 +185,7 @@ def stepping(scene: PeerScene, left_out: dict[str, str], say: Say) -> dict[str, 
         return result
 
     results: dict[str, Any] = {}
-    for name, rounds in rounds_of([*fmus, *peer_step.WAYS], work, left_out, say, SLOW).items():
+    for name, rounds in rounds_of([*fmus, *peer_step.WAYS], work, ROUNDS["step"], left_out, say, SLOW).items():
         us = fastest([us for us, *_ in rounds])
         _, looked, lowest = rounds[0]
         results[name] = {
