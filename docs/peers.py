@@ -31,8 +31,8 @@ def run_text(data: Found) -> str:
     reasons = "".join(f"- {name}: {reason}\n" for name, reason in left_out.items())
     rounds = data["rounds"]
     head = (
-        f"Measured by `make peers` on one core of {data['processor']}, each moment the fastest of {rounds['detection']} "
-        f"rounds of detection and {rounds['step']} of steps."
+        f"Measured by `make peers` on one core of {data['processor']}, each moment the fastest of "
+        f"{rounds['detection']} rounds of detection and {rounds['step']} of steps."
     )
     return f"{head} {'Left out:' if left_out else 'Nothing was left out.'}\n{reasons and chr(10) + reasons}"
 

@@ -1,4 +1,7 @@
-"""The command `tissue-contact`. Heavy imports stand inside the commands, so that help answers at once."""
+"""The command `tissue-contact`. Heavy imports stand inside the commands, so that help answers at once.
+
+Some come only after the scene or scenario is read, so that what is wrong there is told at once as well.
+"""
 
 import functools
 import json
@@ -74,13 +77,17 @@ def build(
     preset: PresetOption = None,
 ) -> None:
     """Build the FMU of a scene."""
+    from tissue_contact.edits import with_preset
+    from tissue_contact.scene import read_scene
+
+    read = with_preset(read_scene(scene), preset)
+    for remark in read.remarks:
+        _tell(remark)
     from tissue_contact.assemble import assemble
     from tissue_contact.fmu.build import build as build_fmu
     from tissue_contact.fmu.compile import ALL
     from tissue_contact.scenarios.report import still
-    from tissue_contact.scene import read_scene
     from tissue_contact.settings import nearest
-    from tissue_contact.study.levers import with_preset
 
     for name in platform or []:
         if name not in ALL:
@@ -88,9 +95,6 @@ def build(
             raise InputError("--platform", "the platform must be a known one", name, way_out)
     if output.suffix != ".fmu":
         raise InputError("--output", "the name of an FMU must end in .fmu", output, "Add the suffix")
-    read = with_preset(read_scene(scene), preset)
-    for remark in read.remarks:
-        _tell(remark)
     assembly = assemble(read)
     _tell("drawing the scene")
     build_fmu(assembly, output, platforms=platform or ALL, picture=still(read), on_progress=_tell)
@@ -251,10 +255,11 @@ def trade(
     """Sweep what costs time and what errs in a scenario: table, CSV, figure and what to choose."""
     _check_measure(measure)
     from tissue_contact.scenarios.scenario import read_scenario
+
+    read = read_scenario(scenario)
     from tissue_contact.scenarios.trade import Request
     from tissue_contact.scenarios.trade import trade as trade_scenario
 
-    read = read_scenario(scenario)
     request = Request(measure, runs, rounds, refine, workers, scheduler, progress)
     trade_scenario(read, output or Path("build") / f"{read.name}-trade", request)
 
@@ -286,12 +291,13 @@ def tune(
     """Write the scene that is most accurate within a time, or fastest within an error."""
     _check_measure(measure)
     from tissue_contact.scenarios.scenario import read_scenario
+
+    read = read_scenario(scenario)
     from tissue_contact.scenarios.trade import Request
     from tissue_contact.scenarios.tune import Wish
     from tissue_contact.scenarios.tune import tune as tune_scenario
 
     wish = Wish.of(budget_us, error)
-    read = read_scenario(scenario)
     request = Request(measure, runs, rounds, refine, workers, scheduler, progress)
     tune_scenario(read, data or Path("build") / f"{read.name}-trade", request, wish, output, overwrite)
 
@@ -357,11 +363,14 @@ def stability(
     Axes: step, stiffness, damping, support_damping, density, contact_stiffness, speed, detection_period. Exit code 1
     when the automatic choice of substeps is unstable somewhere.
     """
+    from tissue_contact.scene import read_scene
+
+    read = read_scene(scene)
     from tissue_contact.scenarios.stability import HapticRequest, MapRequest
     from tissue_contact.scenarios.stability import stability as study
 
     common: dict[str, Any] = {
-        "scene": scene, "output": output, "instrument": instrument, "axis": axis, "workers": workers,
+        "scene": read, "output": output, "instrument": instrument, "axis": axis, "workers": workers,
         "scheduler": scheduler, "progress": progress,
     }  # fmt: skip
     request: Any

@@ -153,7 +153,9 @@ def rounds_of(
 def detection(scene: PeerScene, left_out: dict[str, str], say: Say) -> dict[str, Any]:
     """Figures of all detections on one sheet."""
     names = [name for name in peer_detection.WAYS if name not in left_out]
-    found = rounds_of(names, lambda name: apart(peer_detection.measure, name, scene), ROUNDS["detection"], left_out, say)
+    found = rounds_of(
+        names, lambda name: apart(peer_detection.measure, name, scene), ROUNDS["detection"], left_out, say
+    )
     ours = found[OURS][0][1]
     return {
         name: {

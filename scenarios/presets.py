@@ -16,6 +16,7 @@ import typer
 from rich.console import Console
 
 from tissue_contact.assemble import assemble
+from tissue_contact.edits import Edit, edited
 from tissue_contact.files import publish
 from tissue_contact.fmu.compile import shared_library
 from tissue_contact.pool import Kept, Spread, pool
@@ -29,7 +30,7 @@ from tissue_contact.settings import check_word
 from tissue_contact.study import levers
 from tissue_contact.study.deviation import errors
 from tissue_contact.study.front import Point, percent, solver_settings
-from tissue_contact.study.levers import Edit, Option
+from tissue_contact.study.levers import Option
 
 Say = Callable[[str], None]
 
@@ -59,7 +60,7 @@ class Case:
 
     def edited(self, keys: Mapping[str, Any]) -> Job:
         """The same with other keys of the solver."""
-        return replace(self.job, source=levers.edited(self.scene, solver_edits(keys)))
+        return replace(self.job, source=edited(self.scene, solver_edits(keys)))
 
 
 def solver_edits(keys: Mapping[str, Any]) -> list[Edit]:
@@ -102,7 +103,7 @@ def references(case: Case) -> list[Job]:
     found = [case.edited(exact | {"safety": safety}) for safety in SAFETIES]
     if not levers.meshes_left(case.scene):
         known = levers.grounds(case.scene, assemble(case.scene).model.contact_reach)
-        finer = levers.edited(case.scene, levers.reference(case.scene, known, FINER))
+        finer = edited(case.scene, levers.reference(case.scene, known, FINER))
         found.append(replace(case.job, source=finer, expect=()))
     return found
 

@@ -5,11 +5,11 @@ from typing import Any, Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 
+from tissue_contact.edits import with_preset
 from tissue_contact.errors import InputError
 from tissue_contact.scenarios.stimulus import Declared, Still, Stimulus, no_jaws
 from tissue_contact.scene import Scene, read_scene
 from tissue_contact.settings import Settings, broken, nearest, quantity, read_toml, show, validate
-from tissue_contact.study.levers import with_preset
 
 SHIPPED = Path(__file__).parent
 FILE = "scenario.toml"

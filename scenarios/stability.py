@@ -27,7 +27,7 @@ from tissue_contact.kernels.layout import Real
 from tissue_contact.pool import Kept, Spread, pool, problem_of
 from tissue_contact.scenarios.report import png
 from tissue_contact.scenarios.run import bar_of, interrupted
-from tissue_contact.scene import Contact, FixedBox, Scene, Solver, Tissue, read_scene
+from tissue_contact.scene import Contact, FixedBox, Scene, Solver, Tissue
 from tissue_contact.settings import check_word, nearest, setting
 from tissue_contact.simulate import Instance
 from tissue_contact.study import z_width as widths
@@ -64,7 +64,7 @@ EVERYWHERE = FixedBox(box=((-100.0, -100.0, -100.0), (100.0, 100.0, 100.0)))
 class Request:
     """What the command line asks for, of either study."""
 
-    scene: Path
+    scene: Scene
     output: Path
     instrument: str | None = None
     axis: tuple[float, float, float] = (0.0, 0.0, -1.0)
@@ -117,14 +117,13 @@ def stability(request: MapRequest | HapticRequest) -> bool:
         By the user; what is finished is kept, and the same command goes on there.
     """
     console, kept = Console(stderr=True), request.output / KEPT
-    scene = read_scene(request.scene)
     try:
         with bar_of(console, request.progress) as bar, pool(request.workers, request.scheduler) as spread:
             runner = _Runner(kept, spread, bar, console)
             if isinstance(request, MapRequest):
-                told, files, holds = _maps(request, scene, runner)
+                told, files, holds = _maps(request, runner)
             else:
-                told, files, holds = _haptic(request, scene, runner)
+                told, files, holds = _haptic(request, runner)
     except KeyboardInterrupt as error:
         raise interrupted(kept, kept.is_file()) from error
     kept.unlink(missing_ok=True)
@@ -183,7 +182,8 @@ def _varied(scene: Scene, tissue: Mapping[str, object], solver: Mapping[str, obj
 # --- maps -------------------------------------------------------------------------------------------------
 
 
-def _maps(request: MapRequest, scene: Scene, runner: _Runner) -> tuple[list[Any], dict[str, bytes], bool]:
+def _maps(request: MapRequest, runner: _Runner) -> tuple[list[Any], dict[str, bytes], bool]:
+    scene = request.scene
     for option, words, known in (
         ("--integrator", request.integrators, INTEGRATORS),
         ("--substeps", request.kinds, KINDS),
@@ -448,7 +448,8 @@ def draw_maps(maps: Sequence[Map], units: Mapping[str, str], title: str) -> byte
 # --- a haptic device --------------------------------------------------------------------------------------
 
 
-def _haptic(request: HapticRequest, scene: Scene, runner: _Runner) -> tuple[list[Any], dict[str, bytes], bool]:
+def _haptic(request: HapticRequest, runner: _Runner) -> tuple[list[Any], dict[str, bytes], bool]:
+    scene = request.scene
     assembly = assemble(scene)
     press = _press(request, scene, assembly)
     # A rigid wall is no model whose energy is to be watched: one substep counts its work at the begin of the step.

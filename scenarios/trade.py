@@ -14,6 +14,7 @@ from rich.console import Console
 
 from tissue_contact import cache
 from tissue_contact.assemble import assemble
+from tissue_contact.edits import edited
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.files import publish
 from tissue_contact.fmu import native
@@ -297,7 +298,7 @@ class _Search:
     def job(self, configuration: Configuration) -> Job:
         """What runs a configuration."""
         edits = [edit for option in configuration for edit in option.edits]
-        return replace(self._own, source=levers.edited(self.scenario.scene, edits))
+        return replace(self._own, source=edited(self.scenario.scene, edits))
 
     def run(self) -> None:
         """Run all that is to be run."""
@@ -305,7 +306,7 @@ class _Search:
         self._try([()], "the scene as it is")
         options = levers.options(scene, self._grounds())
         self.references = request.refine / 4.0, request.refine
-        sources = [levers.edited(scene, levers.reference(scene, self._known, f)) for f in self.references]
+        sources = [edited(scene, levers.reference(scene, self._known, f)) for f in self.references]
         for source in sources:  # a scene that cannot be is told before the long runs
             parse_scene(source, scene.folder, f"{scene.place}, made finer")
         wanted = [(option,) for option in options][: request.runs - 1]

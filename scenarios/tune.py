@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from tissue_contact.edits import Edit, edited
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.files import publish
 from tissue_contact.scenarios.scenario import Scenario
@@ -25,7 +26,7 @@ from tissue_contact.scenarios.trade import (
 )
 from tissue_contact.scene import Scene, parse_scene
 from tissue_contact.study.front import Point, percent, within_error, within_time
-from tissue_contact.study.levers import Configuration, Edit, edited, things
+from tissue_contact.study.levers import Configuration, things
 
 
 @dataclass(frozen=True)

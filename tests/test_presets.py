@@ -10,6 +10,7 @@ import pytest
 from test_cli import command, one_line
 
 from tissue_contact.assemble import assemble
+from tissue_contact.edits import changed, with_preset
 from tissue_contact.errors import InputError
 from tissue_contact.pool import in_line
 from tissue_contact.presets import BEYOND_SPRINGS, DEFAULT, PRESETS, PresetName
@@ -100,11 +101,11 @@ def test_a_scheme_that_the_scene_names_itself_is_refused_all_the_same():
 
 def test_an_edit_of_a_preset_keeps_the_file_and_the_reference_leaves_it_aside():
     scene = scene_of('preset = "balanced" # quick\niterations = 4')
-    faster = levers.with_preset(scene, "fast")
+    faster = with_preset(scene, "fast")
     assert faster.solver.preset == "fast" and faster.solver.iterations == 4 and b"# quick" in faster.source
-    assert levers.with_preset(scene, None) is scene
+    assert with_preset(scene, None) is scene
     known = levers.grounds(scene, assemble(scene).model.contact_reach)
-    finer = levers.changed(scene, levers.reference(scene, known, 4.0))
+    finer = changed(scene, levers.reference(scene, known, 4.0))
     assert finer.solver.integrator == "symplectic_euler"
 
 

@@ -15,6 +15,7 @@ from test_cli import command, refused
 from tissue_contact import simulate
 from tissue_contact.errors import InputError
 from tissue_contact.pool import in_line, pool
+from tissue_contact.scene import read_scene
 from tissue_contact.study import stability_map
 from tissue_contact.study.haptic import (
     Device,
@@ -356,7 +357,7 @@ def test_the_command_fails_where_the_automatic_choice_is_unstable(scene, tmp_pat
 
     monkeypatch.setattr(stability, "try_row", blown)
     request = stability.MapRequest(
-        scene, tmp_path / "out", grid=2, integrators=["symplectic_euler"], kinds=["automatic"]
+        read_scene(scene), tmp_path / "out", grid=2, integrators=["symplectic_euler"], kinds=["automatic"]
     )
     assert not stability.stability(request)
     worst = json.loads((tmp_path / "out" / "stability.json").read_text())["maps"][0]
@@ -367,7 +368,9 @@ def test_an_interrupted_map_goes_on_where_it_was(scene, tmp_path, monkeypatch):
     from tissue_contact.scenarios import stability
     from tissue_contact.scenarios.run import Interrupted
 
-    request = stability.MapRequest(scene, tmp_path / "out", grid=3, integrators=["symplectic_euler"], kinds=["one"])
+    request = stability.MapRequest(
+        read_scene(scene), tmp_path / "out", grid=3, integrators=["symplectic_euler"], kinds=["one"]
+    )
     tried: list[float] = []
 
     def stopping(row: Row):

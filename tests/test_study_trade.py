@@ -14,6 +14,7 @@ from rich.console import Console
 from scenes import write_mesh
 
 from tissue_contact.assemble import assemble
+from tissue_contact.edits import Edit, changed, edited
 from tissue_contact.errors import InputError
 from tissue_contact.fields import CUTS_MAX, longest_edges
 from tissue_contact.scenarios.scenario import SHIPPED
@@ -35,7 +36,7 @@ from tissue_contact.study.front import (
     within_error,
     within_time,
 )
-from tissue_contact.study.levers import Edit, Grounds, Option
+from tissue_contact.study.levers import Grounds, Option
 from tissue_contact.study.trade_report import csv_text, figure, ordered, raw, table
 from tissue_contact.surfaces import surface_of, touched_edge
 
@@ -98,7 +99,7 @@ def test_every_option_is_another_scene_and_the_scene_itself_is_none():
 @pytest.mark.parametrize("name", ["palpation", "clash", "probing"])
 def test_the_reference_of_a_shipped_scene_can_be_assembled(name):
     scene = read_scene(SHIPPED / name / "scene.toml")
-    finer = levers.changed(scene, levers.reference(scene, known_of(scene), 4.0))
+    finer = changed(scene, levers.reference(scene, known_of(scene), 4.0))
     assemble(finer)  # no spacing is refused
     assert [t.shape.triangles for t in finer.tissue] == [4 * t.shape.triangles for t in scene.tissue]
     assert [c.response for c in finer.contact] == [c.response for c in scene.contact]
@@ -106,9 +107,9 @@ def test_the_reference_of_a_shipped_scene_can_be_assembled(name):
 
 def test_an_edit_keeps_comments_and_makes_the_table_that_it_needs():
     scene = parse_scene(WHOLE.format(source=PATCH).encode(), Path())
-    text = levers.edited(scene, [Edit(("solver", "safety"), 0.5), Edit(("contact", 0, "side"), None)]).decode()
+    text = edited(scene, [Edit(("solver", "safety"), 0.5), Edit(("contact", 0, "side"), None)]).decode()
     assert text.startswith(WHOLE.format(source=PATCH).rstrip()) and "[solver]\nsafety = 0.5" in text
-    text = levers.edited(press(), [Edit(("tissue", 0, "areal_density"), 3.0)]).decode()
+    text = edited(press(), [Edit(("tissue", 0, "areal_density"), 3.0)]).decode()
     assert "areal_density = 3.0 # about 2 mm of tissue" in text
 
 
@@ -116,9 +117,7 @@ def test_an_edit_keeps_comments_and_makes_the_table_that_it_needs():
 def test_the_area_is_that_which_gives_the_force_at_the_depth(law, exponent):
     scene = press()
     if law == "hunt_crossley":
-        scene = levers.changed(
-            scene, [Edit(("contact", 0, "law"), law), Edit(("contact", 0, "damping_per_area"), None)]
-        )
+        scene = changed(scene, [Edit(("contact", 0, "law"), law), Edit(("contact", 0, "damping_per_area"), None)])
     depth = 1e-3 * np.linspace(0.0, 1.0, 50) ** 3  # shallow most of the time
     force = np.zeros((50, 3))
     force[:, 2] = 5e7 * 4e-6 * depth**exponent
@@ -158,14 +157,14 @@ def test_meshes_from_files_and_vertices_held_by_number_stay(tmp_path):
         scene = parse_scene(WHOLE.format(source=source).encode(), tmp_path)
         assert levers.meshes_left(scene) == ["tissue"]
         assert not chosen(levers.options(scene, known_of(scene)), "mesh")
-        finer = levers.changed(scene, levers.reference(scene, known_of(scene), 16.0))
+        finer = changed(scene, levers.reference(scene, known_of(scene), 16.0))
         assert finer.solver.safety == pytest.approx(0.95 / 4, rel=1e-3), "substeps are refined instead"
 
 
 def test_the_reference_is_finer_in_all_that_it_can_be():
     scene = press()
     known = known_of(scene)
-    finer = levers.changed(scene, levers.reference(scene, known, 16.0))
+    finer = changed(scene, levers.reference(scene, known, 16.0))
     assert finer.tissue[0].shape.triangles == 96000
     assert finer.contact[0].quadrature_spacing == pytest.approx(known.spacing["contact"] / 4, rel=1e-3)
     assert (finer.solver.safety, finer.solver.detection_period) == (0.95, 0.00025)
@@ -189,7 +188,7 @@ def test_a_mesh_is_fine_around_what_was_touched():
         assert len(surface_of(tissue, Path()).triangles) < 3000
     graded = levers.variant(scene, (next(iter(gradings.values())),))
     assert "as fine all over" in chosen(levers.options(graded, known), "grading")
-    finer = levers.changed(graded, levers.reference(graded, known, 16.0)).tissue[0].shape
+    finer = changed(graded, levers.reference(graded, known, 16.0)).tissue[0].shape
     assert finer.growth == pytest.approx(graded.tissue[0].shape.growth / 4), "every edge is a quarter as long"
     assert finer.triangles == 96000
     assert not chosen(levers.options(scene, known_of(scene)), "grading"), "nobody knows what is touched"

@@ -11,6 +11,7 @@ from scenes import write_mesh
 from test_cli import refused
 
 from tissue_contact.assemble import assemble
+from tissue_contact.edits import Edit, edited
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.pool import pool
 from tissue_contact.scenarios import trade as trade_module
@@ -24,7 +25,7 @@ from tissue_contact.shapes import patch
 from tissue_contact.simulate import rollout
 from tissue_contact.study import levers
 from tissue_contact.study.deviation import FORCE
-from tissue_contact.study.levers import Edit, Option
+from tissue_contact.study.levers import Option
 
 SCENE = """\
 # A sheet, and a ball over it.
@@ -115,7 +116,7 @@ def test_the_files_of_a_sweep_are_there_and_whole(swept):
 def test_a_run_is_that_of_the_scene_with_its_changes(swept):
     scenario, _, sweep = swept
     (option,) = next(p.configuration for p in sweep.points if p.label == "75 triangles")
-    job = job_of(scenario, levers.edited(scenario.scene, option.edits))
+    job = job_of(scenario, edited(scenario.scene, option.edits))
     assert job.scene().tissue[0].shape.triangles == 75
     assembly = assemble(job.scene())
     names = [v.name for v in assembly.variables if v.block == "inputs"]

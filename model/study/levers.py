@@ -4,21 +4,21 @@ A change is an edit of the scene file, so that what was measured and what is wri
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import tomlkit
 
 from tissue_contact.bodies import spacing_of
+from tissue_contact.edits import Edit, changed
 from tissue_contact.errors import InputError
 from tissue_contact.fields import CUTS_MAX
 from tissue_contact.geometry import FloatArray
 from tissue_contact.presets import OF_PROJECTIVE, PRESETS, Preset
-from tissue_contact.scene import Contact, Graded, Instrument, Rigid, Scene, Tissue, parse_scene
-from tissue_contact.settings import check_word, setting
+from tissue_contact.scene import Contact, Graded, Instrument, Rigid, Scene, Tissue
+from tissue_contact.settings import setting
 from tissue_contact.surfaces import in_own_frame, surface_of, touched_edge
 
 SAFETIES = (0.95, 0.7, 0.5, 0.25)  # of symplectic Euler, shares of its stable limit
@@ -37,13 +37,6 @@ RESPONSES: dict[str, dict[str, Any]] = {
     "primitive": {"response": "primitive"},
 }
 LONGEST = 1.2  # of the longest edge of a mesh, with room for that of a finer one, which is irregular anew
-
-
-class Edit(NamedTuple):
-    """A key of the scene file, such as ("tissue", 0, "stiffness"), and its new value; None takes the key away."""
-
-    key: tuple[str | int, ...]
-    value: Any
 
 
 @dataclass(frozen=True)
@@ -181,13 +174,13 @@ def _response(scene: Scene, known: Grounds) -> Choices:
     for label, keys in RESPONSES.items():
         edits = []
         for i, contact in enumerate(scene.contact):
-            changed: dict[str, Any] = {"kdop": None, **keys}
+            other: dict[str, Any] = {"kdop": None, **keys}
             if contact.is_field:
                 if contact.name not in known.area:
                     continue
                 area = known.area[contact.name]
                 assert contact.stiffness_per_area is not None
-                changed |= {
+                other |= {
                     "stiffness": _digits(contact.stiffness_per_area * area),
                     "damping": _digits(contact.damping_per_area * area) if contact.damping_per_area > 0.0 else None,
                     "stiffness_per_area": None,
@@ -195,7 +188,7 @@ def _response(scene: Scene, known: Grounds) -> Choices:
                     "quadrature_spacing": None,
                     "side": None,
                 }
-            edits += [Edit(("contact", i, k), v) for k, v in changed.items()]
+            edits += [Edit(("contact", i, k), v) for k, v in other.items()]
         choices[label] = edits
     return choices
 
@@ -310,36 +303,6 @@ def variant(scene: Scene, configuration: Configuration) -> Scene | None:
         return changed(scene, [edit for option in configuration for edit in option.edits])
     except InputError:
         return None
-
-
-def changed(scene: Scene, edits: Iterable[Edit]) -> Scene:
-    """The scene of an edited scene file. Raises InputError where that is none."""
-    return parse_scene(edited(scene, edits), scene.folder, scene.place)
-
-
-def with_preset(scene: Scene, name: str | None) -> Scene:
-    """The scene with a preset in the place of its own; None leaves that. Raises InputError where there is none such."""
-    if name is None:
-        return scene
-    check_word("--preset", name, PRESETS)
-    return changed(scene, [Edit(("solver", "preset"), name)])
-
-
-def edited(scene: Scene, edits: Iterable[Edit]) -> bytes:
-    """The scene file with some keys changed and everything else, comments too, as it is written."""
-    document = tomlkit.parse(scene.source.decode())
-    for key, value in edits:
-        *parents, last = key
-        table: Any = document
-        for step in parents:
-            if isinstance(step, str) and step not in table:
-                table[step] = tomlkit.table()
-            table = table[step]
-        if value is None:
-            table.pop(last, None)
-        else:
-            table[last] = value
-    return tomlkit.dumps(document).encode()
 
 
 # --- the finest -------------------------------------------------------------------------------------------
