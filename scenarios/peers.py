@@ -9,11 +9,8 @@ import importlib.metadata
 import json
 import os
 import platform
-import signal
 import tempfile
 from collections.abc import Callable, Collection, Mapping
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +25,7 @@ from tissue_contact.fmu.native import drive, host_platform
 from tissue_contact.kernels.layout import Real
 from tissue_contact.presets import PRESETS
 from tissue_contact.scenarios import bench, peer_detection, peer_step
+from tissue_contact.scenarios.apart import LeftOut, apart
 from tissue_contact.scenarios.peer_scene import (
     PRESSED,
     PeerScene,
@@ -43,7 +41,6 @@ STEPPED = "6K"  # the sheet that is run, and on which steps are compared
 EVERY = 4  # of its milliseconds in contact, how many are one moment to find pairs at
 THINNED = {"1.5K": 1, "6K": 1, "24K": 2, "96K": 5}  # of these moments, how many are one on a sheet
 ROUNDS = {"detection": 3, "step": 10}
-LIMIT = 120.0  # s, for one of them in one round
 OURS = "tissue-contact"
 GRADED = "graded"  # as fine as the sheet where the rod gets to, coarser beyond
 # What a name stands for in the tables, and the package whose version is told
@@ -64,48 +61,6 @@ TOLD: dict[str, tuple[str, str]] = {
 SLOW = "mujoco", "pybullet"  # one round is enough of these
 
 Say = Callable[[str], None]
-
-
-class LeftOut(Exception):
-    """Why something could not be measured."""
-
-
-# --- one at a time, apart ---------------------------------------------------------------------------------
-
-
-def _send(sender: Connection, folder: str, work: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
-    os.chdir(folder)  # some libraries leave a log where they run
-    try:
-        sender.send((work(*arguments), ""))
-    except ImportError as error:
-        sender.send((None, f"not installed: {error}"))
-    except Exception as error:
-        sender.send((None, f"{type(error).__name__}: {error}"))
-
-
-def apart(work: Callable[..., Any], *arguments: Any, limit: float = LIMIT) -> Any:
-    """What a function gives in a process of its own; raises LeftOut where it gives nothing."""
-    context = get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    with tempfile.TemporaryDirectory() as folder:
-        process = context.Process(target=_send, args=(sender, folder, work, arguments))
-        process.start()
-        sender.close()
-        try:
-            if not receiver.poll(limit):
-                raise LeftOut(f"not done after {limit:g} s")
-            result, reason = receiver.recv()
-        except EOFError:
-            process.join()
-            code = process.exitcode or 0
-            end = f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
-            raise LeftOut(f"ended {end}") from None
-        finally:
-            process.kill()
-            process.join()
-    if reason:
-        raise LeftOut(reason)
-    return result
 
 
 # --- measuring --------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from scenes import assembled
 from scipy.spatial.transform import Rotation
 
 from tissue_contact.scenarios import bench, edge_loop, peer_detection, peers
+from tissue_contact.scenarios.apart import LeftOut, apart
 from tissue_contact.scenarios.peer_scene import record
 from tissue_contact.simulate import Instance
 
@@ -104,7 +105,7 @@ def test_edges_of_two_triangles_know_both():
 
 
 def test_work_apart_gives_what_it_gives():
-    assert peers.apart(math.sqrt, 4.0) == 2.0
+    assert apart(math.sqrt, 4.0) == 2.0
 
 
 @pytest.mark.parametrize(
@@ -117,19 +118,19 @@ def test_work_apart_gives_what_it_gives():
     ],
 )
 def test_work_apart_that_fails_is_left_out_with_the_reason(work, reason):
-    with pytest.raises(peers.LeftOut, match=re.escape(reason)):
-        peers.apart(*work)
+    with pytest.raises(LeftOut, match=re.escape(reason)):
+        apart(*work)
 
 
 def test_work_apart_that_hangs_is_left_out():
-    with pytest.raises(peers.LeftOut, match=re.escape("not done after 0.1 s")):
-        peers.apart(time.sleep, 60.0, limit=0.1)
+    with pytest.raises(LeftOut, match=re.escape("not done after 0.1 s")):
+        apart(time.sleep, 60.0, limit=0.1)
 
 
 def test_one_that_fails_leaves_the_others_alone():
     def work(name: str) -> str:
         if name == "broken":
-            raise peers.LeftOut("it is broken")
+            raise LeftOut("it is broken")
         return name
 
     left_out: dict[str, str] = {}
