@@ -37,7 +37,9 @@ Scheduler = Annotated[
 ProgressBar = Annotated[bool, typer.Option(help="Show a progress bar on a terminal.")]
 Measure = Annotated[str, typer.Option(help="Error to go by: force, peak, impulse, depth or torque.")]
 Runs = Annotated[int, typer.Option(min=1, max=10_000, help="Most configurations to try.")]
-Rounds = Annotated[int, typer.Option(min=1, max=100, help="Timed runs of each, of which the fastest counts.")]
+Rounds = Annotated[
+    int, typer.Option(min=1, max=100, help="Timed runs of each, of which the fastest counts at every step.")
+]
 Refine = Annotated[float, typer.Option(min=4, max=256, help="Triangles of the reference for each of the scene's.")]
 
 

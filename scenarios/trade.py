@@ -55,7 +55,7 @@ class Request:
     ----------
     measure : error of the front, one of `tissue_contact.study.deviation.MEASURES`
     runs : most configurations to try
-    rounds : of timed runs, of which the fastest counts
+    rounds : of timed runs, of which the fastest counts at each step
     refine : triangles of the reference for each of the scene's, 4 or more
     """
 
@@ -199,32 +199,35 @@ def rows_of(result: Mapping[str, Any]) -> FloatArray:
 
 
 def timed(jobs: Mapping[str, Job], rounds: int, kept: Kept, on_done: Callable[[], None]) -> dict[str, float | str]:
-    """Median time of a step in contact [µs] in the fastest of some rounds, or what refused it, by key.
+    """Median time of a step in contact [µs], each the fastest of some rounds, or what refused it, by key.
 
     One job after the other, then the next round, so that a slow moment of the machine meets them all.
     """
     with tempfile.TemporaryDirectory() as name:
         fmus: dict[str, Path] = {}
 
-        def timed_once(key: str) -> float | str:
+        def timed_once(key: str) -> list[float] | str:
             if key not in fmus:
                 fmus[key] = built(jobs[key], Path(name))
-            return step_time(fmus[key], jobs[key])
+            return step_times(fmus[key], jobs[key])
 
         keys = list(jobs) * rounds
-        names = [f"time {n // len(jobs)} {key}" for n, key in enumerate(keys)]
+        names = [f"times {n // len(jobs)} {key}" for n, key in enumerate(keys)]
         found = kept.spread(in_line, timed_once, keys, names, on_done)
-    return {key: fastest(found[n :: len(jobs)]) for n, key in enumerate(jobs)}
+    return {key: median_of(found[n :: len(jobs)]) for n, key in enumerate(jobs)}
 
 
-def fastest(times: Sequence[float | str]) -> float | str:
-    """The least of some times [µs], or what refused one of them."""
-    refused = [t for t in times if isinstance(t, str)]
-    return refused[0] if refused else min(t for t in times if not isinstance(t, str))
+def median_of(rounds: Sequence[list[float] | str]) -> float | str:
+    """Median over the steps [µs] of the fastest round of each, or what refused one of the rounds.
+
+    Every round does the same, so what one takes longer at a step than another is the machine's.
+    """
+    refused = [r for r in rounds if isinstance(r, str)]
+    return refused[0] if refused else float(np.median(np.min([r for r in rounds if not isinstance(r, str)], axis=0)))
 
 
-def step_time(fmu: Path, job: Job) -> float | str:
-    """Median time of a step in contact [µs], driven by a native program; what refused it where it was."""
+def step_times(fmu: Path, job: Job) -> list[float] | str:
+    """Times of all steps in contact [µs], driven by a native program; what refused it where it was."""
     about = fmpy.read_model_description(str(fmu))
     asked = [v for v in about.modelVariables if v.causality == "input"]
     inputs = [job.inputs.get(v.name, np.full(len(job.times), float(v.start))) for v in asked]
@@ -235,7 +238,7 @@ def step_time(fmu: Path, job: Job) -> float | str:
     names = [v.name for v in about.modelVariables if v.causality == "output"]
     forces = [names.index(f"{b}.force[{k}]") for b in bodies_of(names) for k in (1, 2, 3)]
     touching = np.any(outputs[:, forces] != 0.0, axis=1)
-    return float(1e-3 * np.median(ns[touching] if touching.any() else ns))
+    return [round(1e-3 * int(t), 3) for t in (ns[touching] if touching.any() else ns)]
 
 
 # --- the sweep --------------------------------------------------------------------------------------------

@@ -17,12 +17,12 @@ from tissue_contact.scenarios.trade import (
     Measured,
     Request,
     built,
-    fastest,
     follow,
     job_of,
     measured,
+    median_of,
     point_of,
-    step_time,
+    step_times,
 )
 from tissue_contact.scene import Scene, parse_scene
 from tissue_contact.study.front import Point, percent, within_error, within_time
@@ -129,7 +129,7 @@ def _checked(
         if not result["refusal"]:
             with tempfile.TemporaryDirectory() as name:
                 fmu = built(job, Path(name))
-                us = fastest([step_time(fmu, job) for _ in range(request.rounds)])
+                us = median_of([step_times(fmu, job) for _ in range(request.rounds)])
         yield point, point_of(point.configuration, result, found.true, found.sweep.convergence, job.steps, us)
 
 
