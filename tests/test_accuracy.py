@@ -37,7 +37,7 @@ def test_force_on_a_gallbladder_changes_little_with_its_mesh(tmp_path):
     if not (MESHES / "lapgym_gallbladder_visual.stl").is_file():
         pytest.skip("lapgym_gallbladder_visual.stl is not in shared/meshes beside the checkout")
     organ = accuracy.gallbladder(MESHES, tmp_path)
-    at = accuracy.places(organ.finest, 2)
+    at = accuracy.places(organ.finest, 1)  # six are in the data of the page, see its claims
     # 3 % is what the project is held to.
     assert changes(accuracy.refinement(organ, at, meshes=("500", "14700"))).max() < 0.03
 
