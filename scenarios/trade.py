@@ -1,6 +1,7 @@
 """The trade between time and accuracy of a scenario: run it in many configurations, time them, tell what to choose."""
 
 import base64
+import math
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -43,6 +44,7 @@ KEPT = "runs.json"  # in the folder of the results: finished runs, for this comm
 # Times of runs side by side are rough: what is beaten only by runs less than so many times as fast may yet be on the
 # front, so it is combined further, and timed alone.
 COMBINED, TIMED = 1.5, 2.0
+SHARE = 1 / 3  # of the runs that are left, tried before the front is looked at again
 
 Say = Callable[[str], None]
 
@@ -340,7 +342,8 @@ class _Search:
                     "--runs allows more."
                 )
                 break
-            self._try(new[:left], "combining what is on the front")
+            # Not all that is left at once: what comes of the most promising ones is combined further.
+            self._try(new[: math.ceil(SHARE * left)], "combining what is on the front")
 
     def _grounds(self) -> Grounds:
         """What levers must know, with the areas in contact as the scene's own run has them."""

@@ -360,6 +360,8 @@ def test_the_advice_is_one_sentence_that_fits():
         "Take better: 300 µs a step at 4.0 % error of the force; the scene as it is takes 400 µs a step at 5.0 % error "
         "of the force."
     )
+    bargain = point(350.0, 0.01, option("mesh", "bargain", Edit(("tissue", 0, "stiffness"), 2.0)))
+    assert advice([SCENE, COARSE, BETTER, bargain], "force").startswith("Take bargain: 350 µs a step at 1.0 % error")
     assert advice([SCENE, COARSE, FINE], "force").startswith("Leave the scene as it is, 400 µs")
     refused = point(None, None, refusal="at 0 s")
     assert advice([refused, COARSE], "force").startswith("The scene as it is is refused: take coarse, 100 µs")

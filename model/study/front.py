@@ -133,7 +133,10 @@ def within_error(points: Sequence[Point], measure: str, error: float) -> list[Po
 
 
 def advice(points: Sequence[Point], measure: str) -> str:
-    """One sentence on what to choose; the first of the points is the scene as it is."""
+    """One sentence on what to choose: of what takes no longer and errs no more, the least time times error.
+
+    The first of the points is the scene as it is.
+    """
     own, best = points[0], front([p for p in points if p.timed], measure)
     us, error = own.at(measure)
     if not math.isfinite(us):
@@ -144,7 +147,8 @@ def advice(points: Sequence[Point], measure: str) -> str:
             f"The scene as it is is refused: take {best[-1].label}, {us:,.0f} µs a step at {percent(error)} error of "
             f"the {measure}."
         )
-    chosen = next(p for p in [*best, own] if p.at(measure)[1] <= WORTH * error)
+    no_worse = [p for p in [own, *best] if p.at(measure)[0] <= us and p.at(measure)[1] <= WORTH * error]
+    chosen = min(no_worse, key=lambda p: math.prod(p.at(measure)))
     as_it_is = f"{us:,.0f} µs a step at {percent(error)} error of the {measure}"
     if chosen is own:
         return f"Leave the scene as it is, {as_it_is}: nothing that was tried is as accurate and faster."
