@@ -18,9 +18,9 @@ WIDTH = 4  # columns of a panel: as many as the registers of a processor hold su
 class Elimination(NamedTuple):
     """Places of the entries of a factor L; fields as those of the `Model` that begin with ``factor_``.
 
-    F rows, one for each free vertex, in X panels: up to `WIDTH` columns, one after the other, each the first that is
-    changed by the one before. Y rows of panels: `WIDTH` for its own columns, used or not, then those below them that
-    its last column reaches, which the others reach as well or hold zeros for. Each has room for `WIDTH` entries.
+    F rows, one for each free vertex, in X panels of up to `WIDTH` columns. Y rows of panels: `WIDTH` for its own
+    columns, used or not, then those below them that any of its columns reaches; the others hold zeros there. Each has
+    room for `WIDTH` entries.
     """
 
     vertex: IntArray  # shape [F], vertex of each row
@@ -30,6 +30,48 @@ class Elimination(NamedTuple):
     start: IntArray  # shape [X + 1], where the rows of a panel begin
     row: IntArray  # shape [Y], four times the row, ascending within a panel; 4 F + 4 where a panel has no such column
     spring: IntArray  # shape [S], entry of each spring, 4 Y where an end is fixed
+
+
+class _Panel:
+    """Columns that lie together, the rows below them that any of them reaches, and the panels that reach it first."""
+
+    def __init__(self, columns: list[int], below: set[int]) -> None:
+        self.columns, self.below = columns, below
+        self.children: list[_Panel] = []
+
+    def fits(self, other: "_Panel") -> bool:
+        """Whether there is room for the columns of another panel."""
+        return len(self.columns) + len(other.columns) <= WIDTH
+
+    def take(self, other: "_Panel") -> None:
+        """Take in another panel; its columns come first."""
+        self.columns = other.columns + self.columns
+        self.below = (self.below | other.below).difference(self.columns)
+        self.children += other.children
+
+    def take_children(self) -> None:
+        """Take in those that fit, the longest first: what they reach is reached already."""
+        while fitting := [child for child in self.children if self.fits(child)]:
+            longest = max(fitting, key=lambda child: len(child.below))
+            self.children.remove(longest)
+            self.take(longest)
+
+    def join_children(self) -> None:
+        """Join those that fit into one panel, which saves its rows and those that both reach, the longest first."""
+        joined: list[_Panel] = []
+        with_room: list[_Panel] = []
+        for child in sorted(self.children, key=lambda child: -len(child.below)):
+            fitting = [other for other in with_room if other.fits(child)]
+            if fitting:
+                wider = max(fitting, key=lambda other: len(other.below & child.below))
+                wider.take(child)
+            else:
+                wider = child
+                joined.append(child)
+                with_room.append(child)
+            if len(wider.columns) == WIDTH:
+                with_room.remove(wider)
+        self.children = joined
 
 
 def elimination(springs: IntArray, free: FloatArray) -> Elimination:
@@ -49,18 +91,17 @@ def elimination(springs: IntArray, free: FloatArray) -> Elimination:
     found = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     lower = tril(found.L, -1, format="csc")
     lower.sort_indices()
-    position = _postorder(lower)
+    panels = _panels(lower)
+    position = np.empty(count, np.int64)
+    position[[column for panel in panels for column in panel.columns]] = np.arange(count)
     place[vertices] = position[found.perm_c]
-    column = np.repeat(np.arange(count), np.diff(lower.indptr))
-    ordered = csc_matrix((lower.data, (position[lower.indices], position[column])), (count, count))
-    ordered.sort_indices()
-    first = _panels(ordered)
-    panel = np.repeat(np.arange(len(first) - 1), np.diff(first))
+    first = np.cumsum([0, *(len(panel.columns) for panel in panels)])
+    panel = np.repeat(np.arange(len(panels)), np.diff(first))
     rows = []
-    for begin, end in pairwise(first):
-        below = ordered.indices[ordered.indptr[end - 1] : ordered.indptr[end]]
+    for (begin, end), each in zip(pairwise(first), panels, strict=True):
+        below = np.sort(position[list(each.below)])
         rows += [np.arange(begin, end), np.full(WIDTH - (end - begin), count + 1), below]
-    start = np.concatenate([[0], np.cumsum(WIDTH + np.diff(ordered.indptr)[first[1:] - 1])])
+    start = np.concatenate([[0], np.cumsum([WIDTH + len(each.below) for each in panels])])
     row = np.concatenate(rows)
     down, across = place[springs].max(axis=1), place[springs].min(axis=1)
     spring = np.full(len(springs), WIDTH * len(row))
@@ -74,31 +115,21 @@ def elimination(springs: IntArray, free: FloatArray) -> Elimination:
     return Elimination(vertices[np.argsort(place[vertices])], place, panel, first, start, 4 * row, spring)
 
 
-def _parents(lower: csc_matrix) -> IntArray:
-    """The elimination tree: the first row that each column of a factor reaches, as many as there are if none."""
-    count = lower.shape[0]
-    reached = np.append(lower.indices, count)
-    return np.where(np.diff(lower.indptr) > 0, reached[lower.indptr[:-1]], count)
-
-
-def _postorder(lower: csc_matrix) -> IntArray:
-    """Place of each column in an order that fills in alike, right after all that change it."""
-    count, parent = lower.shape[0], _parents(lower)
-    size = np.ones(count + 1, np.int64)
-    for column in range(count):
-        size[parent[column]] += size[column]
-    position, last = np.empty(count, np.int64), np.full(count + 1, count - 1)
-    for column in reversed(range(count)):
-        position[column] = last[parent[column]]
-        last[parent[column]] -= size[column]
-        last[column] = position[column] - 1
-    return position
-
-
-def _panels(lower: csc_matrix) -> IntArray:
-    """First column of each panel of a factor in postorder, and the number of columns."""
-    count = lower.shape[0]
-    breaks = np.append(np.flatnonzero(_parents(lower)[:-1] != np.arange(1, count)) + 1, count)
-    # Columns get shorter towards the end of a chain, so the panel that is not full is the first.
-    chains = zip(np.concatenate([[0], breaks[:-1]]), breaks, strict=True)
-    return np.concatenate([[0], *(np.arange(end, begin, -WIDTH)[::-1] for begin, end in chains)])
+def _panels(lower: csc_matrix) -> list[_Panel]:
+    """Panels of a factor, each after all that reach it."""
+    columns = [_Panel([k], set(lower.indices[a:b].tolist())) for k, (a, b) in enumerate(pairwise(lower.indptr))]
+    all_columns = _Panel([], set())
+    for column in columns:
+        # the elimination tree: the parent of a column is the first row that it reaches
+        parent = columns[min(column.below)] if column.below else all_columns
+        parent.children.append(column)
+    ordered: list[_Panel] = []
+    waiting = [all_columns]
+    while waiting:
+        panel = waiting.pop()
+        for child in panel.children:
+            child.take_children()
+        panel.join_children()
+        ordered.append(panel)
+        waiting += panel.children
+    return ordered[:0:-1]

@@ -48,9 +48,8 @@ def test_panels_hold_all_that_fills_in_and_every_spring(graph):
         own, below = named[:WIDTH], named[WIDTH:]
         assert (own == [4 * k if k < last else 4 * rows + 4 for k in range(first, first + WIDTH)]).all()
         assert (np.diff(below) > 0).all()
-        # of the last column nothing else is held; of the others zeros may be
-        assert (below == 4 * np.flatnonzero(fill[:, last - 1])).all()
-        assert set(4 * np.flatnonzero(fill[:, first:last].any(axis=1))) <= set(named)
+        reached = np.flatnonzero(fill[:, first:last].any(axis=1))
+        assert (below == 4 * reached[reached >= last]).all(), "what any of its columns reaches, and nothing else"
         for at, row in enumerate(below):
             assert set(below[at:]) <= set(held[found.panel[row // 4]]), "what a panel changes has a place for it"
     for (i, j), entry in zip(found.place[springs], found.spring, strict=True):
@@ -74,5 +73,5 @@ def test_a_sheet_fills_few_panels_beyond_its_entries():
     found = elimination(springs, np.ones(400))
     below = WIDTH * (len(found.row) - WIDTH * (len(found.start) - 1))
     entries = _fill(springs, found.place, 400).sum()
-    # 1.29 times as many; 1.36 with chains cut from their beginning, 1.79 in the order of least degree as it comes
-    assert entries < below < 1.32 * entries
+    # 1.19 times as many; 1.21 without panels joined that reach alike, 1.29 with chains of columns cut alone
+    assert entries < below < 1.20 * entries
