@@ -14,7 +14,7 @@ from tissue_contact.kernels.slots import (
     TISSUE_PARAMETERS,
 )
 from tissue_contact.kernels.springs import damp_product, directions
-from tissue_contact.kernels.start import keep_start
+from tissue_contact.kernels.start import keep_start, parts
 
 
 @inner
@@ -101,10 +101,10 @@ def runge_kutta(model, parameters, state, scratch, elapsed, dt):
     scratch.start holds places and velocities at the beginning, scratch.slope the sums of the weighted slopes.
     """
     n = state.x.size
-    start, slope = scratch.start, scratch.slope
+    start_x, start_y, start_z, start_vx, start_vy, start_vz = parts(scratch.start, n)
+    slope_x, slope_y, slope_z, slope_vx, slope_vy, slope_vz = parts(scratch.slope, n)
     keep_start(state, scratch)
-    for k in range(slope.size):
-        slope[k] = 0.0
+    scratch.slope[:] = 0.0
     node, weight, way = (0.0, 0.5, 0.5, 1.0), (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0), (0.5, 0.5, 1.0, 0.0)
     for s in range(4):
         tissue_forces(model, parameters, state, scratch)
@@ -115,22 +115,22 @@ def runge_kutta(model, parameters, state, scratch, elapsed, dt):
         b, c = weight[s], way[s] * dt
         for v in range(n):
             vx, vy, vz = state.vx[v], state.vy[v], state.vz[v]
-            slope[v] += b * vx
-            slope[n + v] += b * vy
-            slope[2 * n + v] += b * vz
-            slope[3 * n + v] += b * scratch.fx[v]
-            slope[4 * n + v] += b * scratch.fy[v]
-            slope[5 * n + v] += b * scratch.fz[v]
-            state.x[v] = start[v] + c * vx
-            state.y[v] = start[n + v] + c * vy
-            state.z[v] = start[2 * n + v] + c * vz
-            state.vx[v] = start[3 * n + v] + c * scratch.fx[v]
-            state.vy[v] = start[4 * n + v] + c * scratch.fy[v]
-            state.vz[v] = start[5 * n + v] + c * scratch.fz[v]
+            slope_x[v] += b * vx
+            slope_y[v] += b * vy
+            slope_z[v] += b * vz
+            slope_vx[v] += b * scratch.fx[v]
+            slope_vy[v] += b * scratch.fy[v]
+            slope_vz[v] += b * scratch.fz[v]
+            state.x[v] = start_x[v] + c * vx
+            state.y[v] = start_y[v] + c * vy
+            state.z[v] = start_z[v] + c * vz
+            state.vx[v] = start_vx[v] + c * scratch.fx[v]
+            state.vy[v] = start_vy[v] + c * scratch.fy[v]
+            state.vz[v] = start_vz[v] + c * scratch.fz[v]
     for v in range(n):
-        state.x[v] = start[v] + dt * slope[v]
-        state.y[v] = start[n + v] + dt * slope[n + v]
-        state.z[v] = start[2 * n + v] + dt * slope[2 * n + v]
-        state.vx[v] = start[3 * n + v] + dt * slope[3 * n + v]
-        state.vy[v] = start[4 * n + v] + dt * slope[4 * n + v]
-        state.vz[v] = start[5 * n + v] + dt * slope[5 * n + v]
+        state.x[v] = start_x[v] + dt * slope_x[v]
+        state.y[v] = start_y[v] + dt * slope_y[v]
+        state.z[v] = start_z[v] + dt * slope_z[v]
+        state.vx[v] = start_vx[v] + dt * slope_vx[v]
+        state.vy[v] = start_vy[v] + dt * slope_vy[v]
+        state.vz[v] = start_vz[v] + dt * slope_vz[v]

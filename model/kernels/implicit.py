@@ -21,7 +21,7 @@ from tissue_contact.kernels.slots import (
     VOLUME_STIFFNESS,
 )
 from tissue_contact.kernels.springs import damp_product
-from tissue_contact.kernels.start import keep_start, place
+from tissue_contact.kernels.start import keep_start, parts, place
 from tissue_contact.kernels.vectors import cross, dot
 
 NEWTON = 12  # iterations at most
@@ -182,7 +182,7 @@ def _residual(model, parameters, state, scratch, elapsed, dt, n, r):
 
     Moves the state to x0 + dt v, with x0 and v0 from scratch.start.
     """
-    start = scratch.start
+    _, _, _, start_vx, start_vy, start_vz = parts(scratch.start, n)
     place(state, scratch, dt)
     tissue_forces(model, parameters, state, scratch)
     clear_contacts(state, scratch)
@@ -221,7 +221,7 @@ def _residual(model, parameters, state, scratch, elapsed, dt, n, r):
             area, free, mobility = model.node_area[v], model.node_free[v], model.node_mobility[v] / density
             vx, vy, vz = state.vx[v], state.vy[v], state.vz[v]
             r[v] = free * (
-                density * area * (start[3 * n + v] - vx)
+                density * area * (start_vx[v] - vx)
                 + dt
                 * (
                     scratch.fx[v]
@@ -230,7 +230,7 @@ def _residual(model, parameters, state, scratch, elapsed, dt, n, r):
                 )
             )
             r[n + v] = free * (
-                density * area * (start[4 * n + v] - vy)
+                density * area * (start_vy[v] - vy)
                 + dt
                 * (
                     scratch.fy[v]
@@ -239,7 +239,7 @@ def _residual(model, parameters, state, scratch, elapsed, dt, n, r):
                 )
             )
             r[2 * n + v] = free * (
-                density * area * (start[5 * n + v] - vz)
+                density * area * (start_vz[v] - vz)
                 + dt
                 * (
                     scratch.fz[v]

@@ -39,7 +39,7 @@ from tissue_contact.kernels.slots import (
     TISSUE_PARAMETERS,
 )
 from tissue_contact.kernels.springs import damp_product, directions
-from tissue_contact.kernels.start import back_to_start, keep_start, place
+from tissue_contact.kernels.start import back_to_start, keep_start, parts, place
 
 FAINT = 1e-9  # of a row's diagonal in A, below which the stiffness of a contact is left out
 SETTLED = 1e-6  # of the right side, weighted by H: far less than an iteration leaves out of the springs
@@ -73,7 +73,8 @@ def _residual(model, parameters, state, scratch, elapsed, dt, n):
     tissue_forces(model, parameters, state, scratch)
     clear_contacts(state, scratch)
     contact_forces(model, parameters, state, scratch, elapsed + dt, dt, False)
-    start, right, g = scratch.start, scratch.right, model.gravity
+    right, g = scratch.right, model.gravity
+    _, _, _, start_vx, start_vy, start_vz = parts(scratch.start, n)
     for tissue in range(model.tissue_rate.size):
         own = TISSUE_PARAMETERS * tissue
         if _damp(model, parameters, state, scratch, tissue, n):
@@ -92,14 +93,11 @@ def _residual(model, parameters, state, scratch, elapsed, dt, n):
             scratch.fy[v] -= a * (state.y[v] - model.rest_y[v])
             scratch.fz[v] -= a * (state.z[v] - model.rest_z[v])
         for v in range(first, last):
-            row = model.factor_place[v]
-            if row == model.factor_vertex.size:
-                continue
-            a, o = model.node_area[v], 4 * row
+            a, o = model.node_area[v], 4 * model.factor_place[v]  # fixed: behind the rows, which is cleared
             vx, vy, vz = state.vx[v], state.vy[v], state.vz[v]
-            right[o] = dt * scratch.fx[v] + a * (density * (start[3 * n + v] - vx) - c * vx + gx)
-            right[o + 1] = dt * scratch.fy[v] + a * (density * (start[4 * n + v] - vy) - c * vy + gy)
-            right[o + 2] = dt * scratch.fz[v] + a * (density * (start[5 * n + v] - vz) - c * vz + gz)
+            right[o] = dt * scratch.fx[v] + a * (density * (start_vx[v] - vx) - c * vx + gx)
+            right[o + 1] = dt * scratch.fy[v] + a * (density * (start_vy[v] - vy) - c * vy + gy)
+            right[o + 2] = dt * scratch.fz[v] + a * (density * (start_vz[v] - vz) - c * vz + gz)
             right[o + 3] = 0.0
 
 
@@ -384,13 +382,13 @@ def _settled(model, state, scratch, dt, count, changed):
 @inner
 def _too_fast(state, scratch, longest, dt):
     """Whether any vertex goes a longer way in dt than ``longest`` [m], or changes its way by `SUDDEN` of that."""
-    n, start = state.x.size, scratch.start
+    _, _, _, start_vx, start_vy, start_vz = parts(scratch.start, state.x.size)
     most = (longest / dt) ** 2
     sudden = SUDDEN * SUDDEN * most
     found = False
-    for v in range(n):  # with no way out it runs in vectors
+    for v in range(state.x.size):  # with no way out it runs in vectors
         vx, vy, vz = state.vx[v], state.vy[v], state.vz[v]
-        ax, ay, az = vx - start[3 * n + v], vy - start[4 * n + v], vz - start[5 * n + v]
+        ax, ay, az = vx - start_vx[v], vy - start_vy[v], vz - start_vz[v]
         found |= (vx * vx + vy * vy + vz * vz > most) | (ax * ax + ay * ay + az * az > sudden)
     return found
 
@@ -409,7 +407,7 @@ def projective_dynamics(model, parameters, state, scratch, elapsed, dt, longest)
     ready(model, parameters, scratch, dt)
     keep_start(state, scratch)
     work, dissipated = state.work[0], state.dissipated[0]
-    for _ in range(model.iterations[0]):
+    for left in range(model.iterations[0] - 1, -1, -1):
         _residual(model, parameters, state, scratch, elapsed, dt, n)
         state.work[0], state.dissipated[0] = work, dissipated
         count, changed = _touched(model, scratch), 0.0
@@ -417,12 +415,12 @@ def projective_dynamics(model, parameters, state, scratch, elapsed, dt, longest)
         if count > 0:
             changed = _press_back(model, scratch, count)
         backward(model, scratch)
-        for row in range(model.factor_vertex.size):
-            v, o = model.factor_vertex[row], 4 * row
+        for v in range(n):
+            o = 4 * model.factor_place[v]  # fixed: behind the rows, zeros
             state.vx[v] += right[o]
             state.vy[v] += right[o + 1]
             state.vz[v] += right[o + 2]
-        if _settled(model, state, scratch, dt, count, changed):
+        if left > 0 and _settled(model, state, scratch, dt, count, changed):
             break
     if longest > 0.0 and _too_fast(state, scratch, longest, dt):
         back_to_start(state, scratch)

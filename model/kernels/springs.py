@@ -4,6 +4,8 @@ import math
 
 from tissue_contact.kernels.compiled import inner, pointwise
 
+COINCIDENT = 1e-300  # [m²] of a length; the inverse of less may overflow
+
 
 @inner
 def add_springs(first, last, i, j, rest, stiffness, scale, x, y, z, fx, fy, fz):
@@ -11,9 +13,11 @@ def add_springs(first, last, i, j, rest, stiffness, scale, x, y, z, fx, fy, fz):
     for s in range(first, last):
         a, b = i[s], j[s]
         dx, dy, dz = x[b] - x[a], y[b] - y[a], z[b] - z[a]
-        length = math.sqrt(dx * dx + dy * dy + dz * dz)
-        if length > 0.0:  # coincident ends have no direction to push in
-            q = scale * stiffness[s] * (1.0 - rest[s] / length)
+        square = dx * dx + dy * dy + dz * dz
+        length = math.sqrt(square)
+        if square > COINCIDENT:  # else there is no direction to push in
+            # |x_j - x_i| over its square, as a division by it would wait for the root
+            q = scale * stiffness[s] * ((length - rest[s]) * (length * (1.0 / square)))
             px, py, pz = q * dx, q * dy, q * dz
             fx[a] += px
             fy[a] += py
@@ -29,10 +33,12 @@ def add_stiffening_springs(first, last, i, j, rest, stiffness, scale, nonlineari
     for s in range(first, last):
         a, b = i[s], j[s]
         dx, dy, dz = x[b] - x[a], y[b] - y[a], z[b] - z[a]
-        length = math.sqrt(dx * dx + dy * dy + dz * dz)
-        if length > 0.0:
+        square = dx * dx + dy * dy + dz * dz
+        length = math.sqrt(square)
+        if square > COINCIDENT:
             strain = length / rest[s] - 1.0
-            q = scale * stiffness[s] * (1.0 + nonlinearity * strain * strain) * (1.0 - rest[s] / length)
+            q = scale * stiffness[s] * (1.0 + nonlinearity * strain * strain)
+            q *= (length - rest[s]) * (length * (1.0 / square))
             px, py, pz = q * dx, q * dy, q * dz
             fx[a] += px
             fy[a] += py

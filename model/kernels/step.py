@@ -106,7 +106,7 @@ def _runs_off(state, v):
     """Whether a vertex is too far away or is no number, and the figure that says so."""
     size = abs(state.x[v]) + abs(state.y[v]) + abs(state.z[v])
     total = size + state.vx[v] + state.vy[v] + state.vz[v]
-    return not (size <= PLACE_MAX and math.isfinite(total)), total
+    return (not size <= PLACE_MAX) | (not math.isfinite(total)), total
 
 
 @pointwise
