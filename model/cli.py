@@ -201,11 +201,14 @@ def fit(
     progress: ProgressBar = True,
 ) -> None:
     """Identify constants from measured force: of a contact law alone, or with --parameter of a whole model."""
+    from tissue_contact.settings import check_recording, check_word
+
+    for path in data:  # before the imports, which take seconds
+        check_recording(path)
     from tissue_contact.identify.laws import LAWS
     from tissue_contact.identify.least_squares import LOSSES
     from tissue_contact.scenarios.fit import Request
     from tissue_contact.scenarios.fit import fit as fit_data
-    from tissue_contact.settings import check_word
 
     for option, words, known in (("--law", law or [], tuple(LAWS)), ("--loss", [loss], LOSSES)):
         for word in words:

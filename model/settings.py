@@ -117,6 +117,14 @@ def read_toml(path: Path, what: str) -> tuple[bytes, dict[str, Any]]:
     return source, parse_toml(source, str(path))
 
 
+def check_recording(path: Path) -> None:
+    """InputError where the CSV file of a recording is missing."""
+    if not path.is_file():
+        near = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
+        way_out = nearest(path.name, near, what="recordings")
+        raise InputError(str(path), "the recording must exist", "no such file", way_out)
+
+
 def parse_toml(source: bytes, place: str) -> dict[str, Any]:
     """Content of a TOML file; InputError with the line where it is not TOML."""
     rule, way_out = "the file must be TOML", "Mend the syntax there"

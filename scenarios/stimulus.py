@@ -19,7 +19,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from tissue_contact.errors import InputError
 from tissue_contact.scene import IDENTITY, ORIGIN, Point, Quaternion
-from tissue_contact.settings import Settings, broken, items, nearest, quantity
+from tissue_contact.settings import Settings, broken, check_recording, items, nearest, quantity
 
 FloatArray = NDArray[np.float64]
 
@@ -376,10 +376,7 @@ def read_recording(path: Path, instrument: str) -> Recorded:
         does not grow, a quaternion without a norm, jaws opened beyond 0 to 1.
 
     """
-    if not path.is_file():
-        near = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
-        way_out = nearest(path.name, near, what="recordings there")
-        raise InputError(str(path), "the recording must exist", "no such file", way_out)
+    check_recording(path)
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:

@@ -173,3 +173,25 @@ def test_mesh_reports_repairs_and_judges(tmp_path: Path) -> None:
 def test_schema_is_json() -> None:
     found = json.loads(command("schema").stdout)
     assert "tissue" in found["properties"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "build gone -o out.fmu",
+        "run gone",
+        "fit gone -o out",
+        "trade gone -o out",
+        "tune gone --error 1% -o out",
+        "stability gone -o out",
+    ],
+)
+def test_what_is_not_there_is_told_before_imports_that_take_seconds(words, tmp_path):
+    code = (
+        "import sys; from tissue_contact.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as end: print(end.code, 'numba' in sys.modules, 'scipy' in sys.modules)"
+    )
+    ended = subprocess.run([sys.executable, "-c", code, *words.split()], capture_output=True, text=True, cwd=tmp_path)
+    assert ended.stdout.split() == ["2", "False", "False"], ended.stderr
+    assert "gone: " in ended.stderr and "no such file" in ended.stderr

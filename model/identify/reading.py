@@ -14,7 +14,7 @@ from tissue_contact.identify.columns import QUANTITIES, VECTORS, Column, Mapping
 from tissue_contact.identify.recording import Exclusion, Reading, Real, Recording
 from tissue_contact.identify.treatment import FEWEST, Flags, Raw, Treatment, left_out, treat
 from tissue_contact.scene import IDENTITY
-from tissue_contact.settings import Settings, nearest, read_toml, validate
+from tissue_contact.settings import Settings, check_recording, read_toml, validate
 
 HELD = 3  # equal values in a row at the largest force look like a sensor at its end
 SHALLOW = 1e-6  # m; depths that are all below it have the wrong unit
@@ -171,10 +171,7 @@ def _read_file(path: Path, mapping: Mapping, treatment: Treatment) -> _File:
 
 def _rows(path: Path) -> list[Row]:
     """The header and every row, all of one length."""
-    if not path.is_file():
-        near = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
-        way_out = nearest(path.name, near, what="recordings there")
-        raise InputError(str(path), "the recording must exist", "no such file", way_out)
+    check_recording(path)
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             # Blanked, not dropped, so that the reader counts the lines of the file.
