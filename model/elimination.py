@@ -90,7 +90,6 @@ def elimination(springs: IntArray, free: FloatArray) -> Elimination:
     matrix = csc_matrix(pattern + coo_matrix((degree, (range(count), range(count))), (count, count)))
     found = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     lower = tril(found.L, -1, format="csc")
-    lower.sort_indices()
     panels = _panels(lower)
     position = np.empty(count, np.int64)
     position[[column for panel in panels for column in panel.columns]] = np.arange(count)
