@@ -428,6 +428,7 @@ def _scratch(scene: Scene, model: Model, parameters: int) -> Scratch:
         **dict.fromkeys(("slot_row", "slot_new"), kept),
         **dict.fromkeys(("push_row", "push_stiffness", "push_size"), 3 * rows),
         "push": 9 * rows,
+        "half": kept * int(model.factor_depth.max(initial=0)),
         "compliance": kept**2,
         "push_matrix": (3 * kept) ** 2,
     }

@@ -28,6 +28,7 @@ class Elimination(NamedTuple):
     panel: IntArray  # shape [F], panel of each row
     column: IntArray  # shape [X + 1], first column of each panel, and F
     start: IntArray  # shape [X + 1], where the rows of a panel begin
+    depth: IntArray  # shape [X], columns of a panel and of all panels that its elimination reaches
     row: IntArray  # shape [Y], four times the row, ascending within a panel; 4 F + 4 where a panel has no such column
     spring: IntArray  # shape [S], entry of each spring, 4 Y where an end is fixed
 
@@ -81,7 +82,7 @@ def elimination(springs: IntArray, free: FloatArray) -> Elimination:
     place = np.full(len(free), count, np.int64)
     if count == 0:
         none, one = np.zeros(0, np.int64), np.zeros(1, np.int64)
-        return Elimination(none, place, none, one, one, none, np.zeros(len(springs), np.int64))
+        return Elimination(none, place, none, one, one, none, none, np.zeros(len(springs), np.int64))
     place[vertices] = np.arange(count)
     ends = place[springs[(place[springs] < count).all(axis=1)]]
     # Any matrix of this pattern that is positive definite fills in alike.
@@ -102,6 +103,10 @@ def elimination(springs: IntArray, free: FloatArray) -> Elimination:
         rows += [np.arange(begin, end), np.full(WIDTH - (end - begin), count + 1), below]
     start = np.concatenate([[0], np.cumsum([WIDTH + len(each.below) for each in panels])])
     row = np.concatenate(rows)
+    depth = np.diff(first)
+    for k in range(len(panels) - 1, -1, -1):
+        if start[k] + WIDTH < start[k + 1]:
+            depth[k] += depth[panel[row[start[k] + WIDTH]]]
     down, across = place[springs].max(axis=1), place[springs].min(axis=1)
     spring = np.full(len(springs), WIDTH * len(row))
     within = down < count
@@ -111,7 +116,7 @@ def elimination(springs: IntArray, free: FloatArray) -> Elimination:
     used = np.flatnonzero(row < count)
     at = used[np.searchsorted(key[used], own * (count + 2) + down[within])]
     spring[within] = WIDTH * at + across[within] - first[own]
-    return Elimination(vertices[np.argsort(place[vertices])], place, panel, first, start, 4 * row, spring)
+    return Elimination(vertices[np.argsort(place[vertices])], place, panel, first, start, depth, 4 * row, spring)
 
 
 def _panels(lower: csc_matrix) -> list[_Panel]:

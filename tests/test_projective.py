@@ -193,27 +193,33 @@ def test_iterations_go_on_while_what_is_not_touched_moves():
     assert np.array_equal(all_made[0], ended[0]) and np.array_equal(all_made[1], ended[1])
 
 
-def test_a_state_given_back_goes_on_bit_by_bit_whatever_was_touched_since():
+def test_a_state_given_back_goes_on_bit_by_bit_whatever_was_touched_since(monkeypatch):
     """What the factor and the compliances are kept for must not tell what was before."""
-    assembly = scene()
-    path = pressed(60)
-    instance = Instance(assembly)
-    instance.inputs[:] = path[0]
-    instance.initialize()
-    for row in path[1:31]:
-        instance.inputs[:] = row
-        instance.step(1e-3)
-    saved = instance.copy_state()
-    first = []
-    for row in path[31:]:
-        instance.inputs[:] = row
-        instance.step(1e-3)
-        first.append(instance.outputs.copy())
-    instance.restore_state(saved)
-    for row, before in zip(path[31:], first, strict=True):
-        instance.inputs[:] = row
-        instance.step(1e-3)
-        assert instance.outputs.tobytes() == before.tobytes()
+    monkeypatch.setattr(assemble, "KEPT_ROWS", 40)
+    assembly = scene(triangles=4000)
+    path = pressed(60, aside=0.015)
+    there, elsewhere = Instance(assembly), Instance(assembly)
+    for instance in (there, elsewhere):
+        instance.inputs[:] = path[0]
+        instance.initialize()
+
+    def follow(instance, poses):
+        touched, outputs = set(), []
+        for row in poses:
+            instance.inputs[:] = row
+            instance.step(1e-3)
+            touched |= set(instance.scratch.touched[: int(instance.scratch.touched_count[0])])
+            outputs.append(instance.outputs.copy())
+        return np.array(outputs), touched
+
+    _, before = follow(there, path[1:31])
+    saved = there.copy_state()
+    first, after = follow(there, path[31:])
+    assert len(before - after) > 10 and len(after - before) > 10
+    assert len(before | after) > there.scratch.slot_row.size, "not all are kept"
+    for instance in (there, elsewhere):
+        instance.restore_state(saved)
+        assert follow(instance, path[31:])[0].tobytes() == first.tobytes()
 
 
 def test_the_fmu_steps_as_python_does(tmp_path):

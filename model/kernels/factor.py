@@ -223,13 +223,19 @@ def backward(model, scratch):
 
 
 @inner
+def parent(model, panel):
+    """The first panel that the elimination of a panel reaches, its parent in the elimination tree; X if none."""
+    below, last = model.factor_start[panel] + 4, model.factor_start[panel + 1]
+    return int(model.factor_panel[model.factor_row[below] // 4]) if below < last else model.factor_start.size - 1
+
+
+@inner
 def mark_path(model, scratch, row):
     """Mark the panel of a row and all that its elimination reaches, its ancestors in the elimination tree."""
-    panel, panels = int(model.factor_panel[row]), scratch.path.size
-    while panel < panels and scratch.path[panel] == 0:
+    panel = int(model.factor_panel[row])
+    while panel < scratch.path.size and scratch.path[panel] == 0:
         scratch.path[panel] = 1
-        below, last = model.factor_start[panel] + 4, model.factor_start[panel + 1]
-        panel = int(model.factor_panel[model.factor_row[below] // 4]) if below < last else panels
+        panel = parent(model, panel)
 
 
 @inner

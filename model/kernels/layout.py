@@ -86,6 +86,7 @@ class Model(NamedTuple):
     factor_panel: Index  # shape [F], panel of each row
     factor_column: Index  # shape [X + 1], first column of each panel, and F
     factor_start: Index  # shape [X + 1], where the rows of a panel begin
+    factor_depth: Index  # shape [X], columns of a panel and of all panels that its elimination reaches
     factor_row: Index  # shape [Y], four times the row; 4 F + 4 where a panel has no such column
     factor_spring: Index  # shape [S], entry of each spring, 4 Y where an end is fixed
     probe_triangle: Index  # shape [Q]
@@ -222,7 +223,7 @@ class Scratch(NamedTuple):
 
     M is the most touches of a contact; C the most cells that a body's grid has; E the points that a substep of
     symplectic or implicit Euler, or projective dynamics, may press at once; F, X, Y and D are 0 but for projective
-    dynamics, D the rows whose compliances are kept.
+    dynamics, D the rows whose compliances are kept, H the greatest depth of a panel.
     """
 
     outcode: Index  # shape [V], which faces of the body's box a vertex lies beyond, a bit a face
@@ -284,6 +285,7 @@ class Scratch(NamedTuple):
     loss_now: Real  # [J], shape as inverse_mass
     factor_key: Real  # shape [1 + L], substep [s] and parameters that the factor is made of; kept between calls
     factor: Real  # [1], shape [4 Y], its entries, in the place of the diagonal the inverse of that [1/kg]; kept
+    half: Real  # [1/√kg], shape [D H], for each slot's row its column of D^(-1/2) L⁻¹, the root's end last; kept
     compliance: Real  # [1/kg], shape [D D], entries of the inverse matrix between the rows of two slots; kept
     right: Real  # [kg·m/s], shape [4 F + 12], right sides, x, y, z and padding of a row, and what panels lack
     unit_right: Real  # shape as right, right sides of single rows

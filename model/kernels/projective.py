@@ -6,7 +6,8 @@ It is taken in whole by the identity of Woodbury: with E the touched rows, H the
 
     (A + E H Eᵀ)⁻¹ r = A⁻¹ (r - E y),    (H⁻¹ + S) y = Eᵀ A⁻¹ r.
 
-Of H only what lies on the diagonal of blocks counts, the sum of each row of the contacts' matrix: no less than that.
+Of H only what lies on the diagonal of blocks counts, the sum of each row of the contacts' matrix, along the mean of the
+row's directions.
 Of few touched rows all entries of S are kept, and the system for y is factorised. Of many, each product with S is one
 with the factor of A, along the path of the touched rows in the elimination tree, and conjugate gradients solve it.
 """
@@ -24,6 +25,7 @@ from tissue_contact.kernels.factor import (
     forward_path,
     list_path,
     mark_path,
+    parent,
     ready,
     subtract_path,
 )
@@ -146,7 +148,7 @@ def _touched(model, scratch):
 
 @inner
 def _compliances(model, scratch, count):
-    """Have S of all touched rows at hand: columns of A⁻¹ of rows that were not touched before, four at once."""
+    """Have S of all touched rows at hand: columns of L⁻¹ of rows that were not touched before, four at once."""
     rows, slots = model.factor_vertex.size, scratch.slot_row.size
     work = scratch.unit_right
     missing = 0
@@ -174,32 +176,73 @@ def _compliances(model, scratch, count):
         scratch.slot_row[free] = row
         scratch.row_slot[row] = free
         scratch.slot_new[free] = 1
-    for m in range(slots):
-        if scratch.slot_row[m] < rows:
-            mark_path(model, scratch, int(scratch.slot_row[m]))
-    path = list_path(scratch)
-    m = 0
-    while m < slots:
-        clear_path(model, scratch, path, work)
-        lanes = 0
-        while m < slots and lanes < 4:
-            if scratch.slot_new[m] == 1:
-                work[4 * scratch.slot_row[m] + lanes] = 1.0
-                scratch.lane_slot[lanes] = m
-                scratch.slot_new[m] = 0
-                lanes += 1
-            m += 1
-        if lanes == 0:
-            return
-        forward_path(model, scratch, path, work)
-        backward_path(model, scratch, path, work)
+    lanes = 0
+    for own in range(slots):
+        if scratch.slot_new[own] == 1:
+            scratch.lane_slot[lanes] = own
+            lanes += 1
+        if lanes == 0 or (lanes < 4 and own < slots - 1):
+            continue
         for lane in range(lanes):
-            own = scratch.lane_slot[lane]
-            for other in range(slots):
-                if scratch.slot_row[other] < rows:
-                    value = work[4 * scratch.slot_row[other] + lane]
-                    scratch.compliance[own * slots + other] = value
-                    scratch.compliance[other * slots + own] = value
+            mark_path(model, scratch, int(scratch.slot_row[scratch.lane_slot[lane]]))
+        path = list_path(scratch)
+        clear_path(model, scratch, path, work)
+        for lane in range(lanes):
+            work[4 * scratch.slot_row[scratch.lane_slot[lane]] + lane] = 1.0
+        forward_path(model, scratch, path, work)
+        for lane in range(lanes):
+            _keep(model, scratch, int(scratch.lane_slot[lane]), lane)
+        lanes = 0
+
+
+@inner
+def _keep(model, scratch, own, lane):
+    """A slot's column of D^(-1/2) L⁻¹ from that of L⁻¹ in a lane of right sides; its compliances with all that are kept.
+
+    S_ij is the product of columns i and j. They share the path from where they meet in the elimination tree; so it
+    depends on nothing but the two, to the last bit, where an entry of one column of S may differ from that of the other.
+    """
+    slots, rows, panels = scratch.slot_row.size, model.factor_vertex.size, scratch.path.size
+    longest, half = scratch.half.size // slots, scratch.half
+    row = int(scratch.slot_row[own])
+    panel = int(model.factor_panel[row])
+    at = (own + 1) * longest - model.factor_depth[panel]
+    while panel < panels:
+        for r in range(model.factor_column[panel], model.factor_column[panel + 1]):
+            half[at] = scratch.unit_right[4 * r + lane] * math.sqrt(scratch.factor[diagonal(model, r)])
+            at += 1
+        panel = parent(model, panel)
+    scratch.slot_new[own] = 0
+    mark_path(model, scratch, row)
+    for other in range(slots):
+        if scratch.slot_row[other] == rows or scratch.slot_new[other] == 1:
+            continue
+        panel = int(model.factor_panel[scratch.slot_row[other]])
+        while panel < panels and scratch.path[panel] == 0:
+            panel = parent(model, panel)
+        shared = int(model.factor_depth[panel]) if panel < panels else 0
+        value = _product(half, (own + 1) * longest, (other + 1) * longest, shared)
+        scratch.compliance[own * slots + other] = value
+        scratch.compliance[other * slots + own] = value
+    list_path(scratch)
+
+
+@inner
+def _product(values, a, b, count):
+    """Sum of the products of the ``count`` values before place a and before place b; the same for b and a."""
+    # Four sums, none of which waits for the one before.
+    total, total1, total2, total3 = 0.0, 0.0, 0.0, 0.0
+    k = count
+    while k >= 4:
+        total += values[a - k] * values[b - k]
+        total1 += values[a - k + 1] * values[b - k + 1]
+        total2 += values[a - k + 2] * values[b - k + 2]
+        total3 += values[a - k + 3] * values[b - k + 3]
+        k -= 4
+    while k > 0:
+        total += values[a - k] * values[b - k]
+        k -= 1
+    return (total + total1) + (total2 + total3)
 
 
 @inner
