@@ -149,6 +149,46 @@ def test_more_contact_than_compliances_are_kept_for_is_solved_as_well():
     assert abs(found[:, force] - exact[:, force]).max() < 1e-3 * np.linalg.norm(exact[peak, force])
 
 
+def test_a_sheet_pinched_between_two_bodies_is_pressed_by_both():
+    """Their pushes are opposite, and as stiff together as the two."""
+
+    def held(solver):
+        assembly = assembled(f"""
+            [solver]
+            {solver}
+            [[tissue]]
+            shape = {{ kind = "patch", size = [0.012, 0.012], triangles = 100, seed = 3 }}
+            areal_density = 1.0
+            stiffness = 100.0
+            drag = 100.0
+            [[instrument]]
+            shape = {{ {BALL} }}
+            start_position = [0.0005, 0.0003, 0.0005]
+            [[rigid]]
+            name = "bone"
+            shape = {{ kind = "sphere", radius = 0.01, triangles = 400 }}
+            position = [0.0, 0.0, -0.0205]
+            [[contact]]
+            between = ["tissue", "instrument"]
+            stiffness_per_area = 2e8
+            damping_per_area = 1e4
+            side = "both"
+            [[contact]]
+            between = ["tissue", "bone"]
+            stiffness_per_area = 2e8
+            damping_per_area = 1e4
+        """)
+        path = pressed(200, depth=0.0009, aside=0.0)[:101]
+        path = np.concatenate([path, np.repeat(path[-1:], 50, axis=0)])
+        return rollout(assembly, path, 1e-3).outputs[:, vector(assembly, "instrument.force")]
+
+    exact = held('integrator = "implicit_euler"')
+    found = held('integrator = "projective_dynamics"\niterations = 60')
+    peak = np.linalg.norm(exact, axis=1).max()
+    assert peak > 0.01
+    assert abs(found - exact).max() < 1e-3 * peak
+
+
 @pytest.mark.parametrize("contact", [FIELD, FIELD + "\nfriction = 0.5", HULL])
 def test_kept_compliances_and_conjugate_gradients_solve_the_same_system(contact, monkeypatch):
     many = scene(contact=contact)

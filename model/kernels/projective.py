@@ -117,10 +117,12 @@ def _lump(model, scratch, vertex, weight, k):
         scratch.touched_count[0] += 1
         for e in range(5):
             press[o + e] = 0.0
-    f = weight * along
-    press[o] += f * scratch.active_x[k]
-    press[o + 1] += f * scratch.active_y[k]
-    press[o + 2] += f * scratch.active_z[k]
+    nx, ny, nz, f = scratch.active_x[k], scratch.active_y[k], scratch.active_z[k], weight * along
+    # Pressed from both sides a row is as stiff as both together: n and -n are one direction.
+    toward = f if press[o] * nx + press[o + 1] * ny + press[o + 2] * nz >= 0.0 else -f
+    press[o] += toward * nx
+    press[o + 1] += toward * ny
+    press[o + 2] += toward * nz
     press[o + 3] += f
     press[o + 4] += weight * across
 
