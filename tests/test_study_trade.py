@@ -3,6 +3,7 @@
 import csv
 import functools
 import io
+import itertools
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -310,6 +311,14 @@ def test_the_front_has_what_nothing_beats_and_all_else_is_beaten():
             assert not (p in best and any(u * NOISE < us and e < error for u, e in places)), (seed, p)
 
 
+def test_small_steps_do_not_hide_what_they_come_to():
+    """Each a little slower and a little more accurate than the one before, none by as much as is worth it."""
+    points = [point(100.0 * 1.06**k, 0.03 / 1.015**k, option("mesh", f"{k}")) for k in range(20)]
+    places = [p.at("force") for p in front(points, "force")]
+    assert len(places) == 10 and places[-1][1] < WORTH * points[-1].at("force")[1]
+    assert all(e > WORTH * after for (_, e), (_, after) in itertools.pairwise(places))
+
+
 def test_a_reach_may_hold_one_vertex_that_rounding_puts_beside_it():
     corner = "reach = [[0.01, 0.01, 0], [0.01, 0.01, 0]]"
     for turn in ("[0.6, 0.0, 0.8, 0.0]", "[0.9, 0.1, 0.3, 0.3]", "[0.5, 0.5, -0.1, 0.7]"):
@@ -426,6 +435,12 @@ def test_the_table_shows_the_front_the_scene_and_what_was_refused(sweep):
     text = out.export_text()
     assert all(word in text for word in ("better", "fine", "coarse", "the scene as it is", "hull: refused, at 0.1 s"))
     assert "slow" not in text and "4 against 16 times the triangles" in text and "2 are beaten" in text
+
+
+def test_a_sweep_of_which_all_was_refused_is_drawn_and_told(sweep):
+    nothing = replace(sweep, points=[point(None, None, *p.configuration, refusal="at 0.1 s") for p in sweep.points])
+    assert imread(io.BytesIO(figure(nothing, "force"))).shape[0] > 600
+    assert advice(nothing.points, "force") == "Nothing that was tried ran to its end: change the scene."
 
 
 def test_the_figure_is_drawn(sweep):

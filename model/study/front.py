@@ -81,7 +81,7 @@ def front(points: Sequence[Point], measure: str, slack: float = 1.0) -> list[Poi
     stays. With `slack` also points that are beaten only by those that are less than so many times as fast.
     """
     found: list[Point] = []
-    least: list[tuple[float, float]] = []  # time and error of what is more accurate than all before it
+    least: list[tuple[float, float]] = []  # time and error of what is worth more than all before it
     for point in sorted(points, key=lambda p: p.at(measure)):
         us, error = point.at(measure)
         if error == math.inf:
@@ -90,7 +90,8 @@ def front(points: Sequence[Point], measure: str, slack: float = 1.0) -> list[Poi
             found[-1] = point
         elif all(error * WORTH < e for u, e in least if u * slack <= us):
             found.append(point)
-        if not least or error < least[-1][1]:
+        # what is not worth its time must not hide what is, in small steps
+        if not least or error * WORTH < least[-1][1]:
             least.append((us, error))
     return found
 

@@ -129,7 +129,8 @@ def figure(sweep: Sweep, measure: str) -> bytes:
         if on or own:
             names.append(f"{n}  {p.label}")
     line = [(us, 100 * error) for us, error in (p.at(measure) for p in best) if error > 0.0]
-    axes.step(*zip(*line, strict=True), where="post", color="#d95f02", lw=1.0, zorder=1, label="front")
+    if line:
+        axes.step(*zip(*line, strict=True), where="post", color="#d95f02", lw=1.0, zorder=1, label="front")
     converged = 100 * (sweep.convergence[measure] or 0.0)
     axes.axhline(converged, color="#4477aa", lw=1.0, ls="--", label="difference of the two finest references")
     axes.plot([], [], "D", color="none", mec="black", label="the scene as it is")
