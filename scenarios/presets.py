@@ -17,6 +17,7 @@ from rich.console import Console
 
 from tissue_contact.assemble import assemble
 from tissue_contact.edits import Edit, edited
+from tissue_contact.errors import WorkError
 from tissue_contact.files import publish
 from tissue_contact.fmu.compile import shared_library
 from tissue_contact.pool import Kept, Spread, pool
@@ -115,6 +116,9 @@ def measured(case: Case, folder: Path, spread: Spread, say: Say) -> tuple[Kept, 
     jobs = [*reversed(truth), *(case.edited(c.keys) for c in case.candidates)]  # the longest first
     say(f"{case.name}: {len(jobs)} runs")
     done = kept.spread(spread, follow, jobs, [job.key for job in jobs], lambda: None)
+    for result in done[: len(truth)]:
+        if result["refusal"]:
+            raise WorkError(f"a reference of {case.name} was refused: {result['refusal']}. Name others by --scenarios")
     *finer, finest, fine = done[: len(truth)]
     true, steps = rows_of(finest), case.job.steps
     convergence = errors(rows_of(fine), true, steps)

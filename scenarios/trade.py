@@ -2,6 +2,7 @@
 
 import base64
 import math
+import re
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -158,7 +159,8 @@ def follow(job: Job) -> dict[str, Any]:
             with instance_of(fmu, about, []) as slave:
                 drive(slave, about, job.steps, job.inputs, {}, trace)
         except WorkError as error:
-            return {"refusal": f"at {trace.time[trace.done - 1]:g} s: {str(error).removeprefix('fmi2DoStep: ')}"}
+            told = re.sub("^fmi2(ExitInitializationMode|DoStep): ", "", str(error))
+            return {"refusal": f"at {trace.time[max(trace.done - 1, 0)]:g} s: {told}"}
     taken = time.thread_time() - begin
     bodies = bodies_of(trace.names)
     vectors = ("force", "torque", "meanForce")
@@ -182,7 +184,8 @@ def follow(job: Job) -> dict[str, Any]:
 
 def _touched(trace: Trace, body: str) -> list[list[float]] | None:
     """Least and greatest coordinates [m] of the points of contact of a body; None where it touched nothing."""
-    points = trace.vector(f"{body}.contactPoint")[trace.column(f"{body}.depth") > 0.0]
+    pressed = trace.vector(f"{body}.force").any(axis=1)  # without a force there is no such point
+    points = trace.vector(f"{body}.contactPoint")[pressed]
     return [points.min(axis=0).tolist(), points.max(axis=0).tolist()] if len(points) else None
 
 
@@ -314,7 +317,12 @@ class _Search:
         sources = [edited(scene, levers.reference(scene, self._known, f)) for f in self.references]
         for source in sources:  # a scene that cannot be is told before the long runs
             parse_scene(source, scene.folder, f"{scene.place}, made finer")
-        wanted = [(option,) for option in options][: request.runs - 1]
+        wanted = [(option,) for option in options[: request.runs - 1]]
+        if left := options[request.runs - 1 :]:
+            self.remarks.append(
+                f"Stopped at {request.runs} runs with {len(left)} single changes untried, of "
+                f"{', '.join(dict.fromkeys(o.lever for o in left))}: --runs {len(options) + 1} tries every one."
+            )
         finer, finest = (replace(self._own, source=source) for source in sources)
         jobs = [finest, finer, *map(self.job, wanted)]  # the longest first
         found = self._follow(jobs, "the references and every change alone")

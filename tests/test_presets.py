@@ -11,7 +11,7 @@ from test_cli import command, one_line
 
 from tissue_contact.assemble import assemble
 from tissue_contact.edits import changed, with_preset
-from tissue_contact.errors import InputError
+from tissue_contact.errors import InputError, WorkError
 from tissue_contact.pool import in_line
 from tissue_contact.presets import BEYOND_SPRINGS, DEFAULT, PRESETS, PresetName
 from tissue_contact.scenarios import presets as measurement
@@ -174,6 +174,14 @@ def test_a_measurement_is_kept_and_tells_what_fails(tmp_path):
 
     again, same = measurement.measured(case, tmp_path, nothing_left, said.append)
     assert same == about and again.done == kept.done
+
+
+def test_a_reference_that_is_refused_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(measurement, "follow", lambda job: {"refusal": "at 0.1 s: too much energy"})
+    scenario = read_scenario("press")
+    case = measurement.Case("press", scenario.scene, measurement.job_of(scenario, scenario.scene.source))
+    with pytest.raises(WorkError, match=r"reference of press was refused: at 0\.1 s: too much energy\. Name others"):
+        measurement.measured(case, tmp_path, in_line, print)
 
 
 # --- the page ---------------------------------------------------------------------------------------------

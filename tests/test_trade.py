@@ -4,6 +4,7 @@ import itertools
 import json
 import pickle
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from tissue_contact.scene import read_scene
 from tissue_contact.shapes import patch
 from tissue_contact.simulate import rollout
 from tissue_contact.study import levers
-from tissue_contact.study.deviation import FORCE
+from tissue_contact.study.deviation import DEPTH, FORCE
 from tissue_contact.study.levers import Option
 
 SCENE = """\
@@ -133,6 +134,39 @@ def test_another_process_runs_a_job_all_the_same(swept):
     with pool(2) as spread:
         (there,) = spread(follow, [pickle.loads(pickle.dumps(job))], lambda n, result: None)
     assert there["rows"] == follow(job)["rows"]
+
+
+def test_what_is_within_reach_without_a_force_is_not_touched(tmp_path):
+    """Withdrawn faster than the tissue follows, a damped contact has a depth and no force, so no point of contact."""
+    scene = SCENE.replace("start_position = [0, 0, 0.001]", "start_position = [0.2, 0, 0.001]")
+    scene = scene.replace("damping_per_area = 1e4", "damping_per_area = 1e5")
+    tissue = f"{PATCH}\nposition = [0.2, 0, 0]\nsupport_stiffness = 1e5\nsupport_damping = 2e4"
+    job = job_of(made(tmp_path / "tiny"), scene.format(source=tissue).encode())
+    z = 0.001 - 0.003 * np.sin(np.linspace(0.0, np.pi, len(job.times)))
+    job = replace(job, inputs={"probe.position[1]": np.full_like(z, 0.2), "probe.position[3]": z})
+    found = follow(job)
+    rows = rows_of(found)[:, 0]
+    assert ((rows[:, DEPTH] > 0.0) & ~rows[:, FORCE].any(axis=1)).any()
+    ((low, high),) = found["touched"]
+    assert 0.19 < low[0] < high[0] < 0.21
+
+
+def test_a_scene_that_is_refused_at_the_start_is_refused_at_0_s(tmp_path):
+    contact = 'response = "hull"\nstiffness = 200.0'
+    scene = SCENE.replace("stiffness_per_area = 1e7\ndamping_per_area = 1e4", contact)
+    scene = scene.replace('preset = "accurate"', "max_pairs = 16").replace("[0, 0, 0.001]", "[0, 0, -0.002]")
+    job = job_of(made(tmp_path / "tiny"), scene.format(source=PATCH.replace("300", "2000")).encode())
+    found = follow(replace(job, inputs={}))
+    assert found["refusal"].startswith("at 0 s: ") and "fmi2" not in found["refusal"], found
+
+
+def test_changes_that_so_few_runs_leave_out_are_told(few_levers, tmp_path, monkeypatch):
+    monkeypatch.setattr(trade_module, "step_times", lambda fmu, job: [1.0])
+    sweep = measured(made(tmp_path / "tiny"), tmp_path / "out", replace(REQUEST, runs=3)).sweep
+    assert [p.label for p in sweep.points] == ["the scene as it is", "75 triangles", "600 triangles"]
+    (told,) = (r for r in sweep.remarks if "single changes" in r)
+    number = re.fullmatch(r"Stopped at 3 runs with (\d+) single changes untried, of integration: --runs (\d+) .*", told)
+    assert number and int(number[1]) + 3 == int(number[2])
 
 
 def test_what_is_interrupted_goes_on_and_gives_the_same(swept, tmp_path, monkeypatch):

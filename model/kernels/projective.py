@@ -199,10 +199,10 @@ def _compliances(model, scratch, count):
 
 @inner
 def _keep(model, scratch, own, lane):
-    """A slot's column of D^(-1/2) L⁻¹ from that of L⁻¹ in a lane of right sides; its compliances with all that are kept.
+    """A slot's column of D^(-1/2) L⁻¹ from that of L⁻¹ in a lane of right sides; its compliances with all kept ones.
 
-    S_ij is the product of columns i and j. They share the path from where they meet in the elimination tree; so it
-    depends on nothing but the two, to the last bit, where an entry of one column of S may differ from that of the other.
+    S_ij is the product of columns i and j, along the path from where they meet in the elimination tree. So it depends
+    on nothing but the two, to the last bit, where an entry of one column of S may differ from that of the other.
     """
     slots, rows, panels = scratch.slot_row.size, model.factor_vertex.size, scratch.path.size
     longest, half = scratch.half.size // slots, scratch.half
