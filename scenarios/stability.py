@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -26,7 +26,7 @@ from tissue_contact.files import publish
 from tissue_contact.kernels.layout import Real
 from tissue_contact.pool import Kept, Spread, pool, problem_of
 from tissue_contact.scenarios.report import png
-from tissue_contact.scenarios.run import bar_of, interrupted
+from tissue_contact.scenarios.run import bar_of, interrupted, scene_key
 from tissue_contact.scene import Contact, FixedBox, Scene, Solver, Tissue
 from tissue_contact.settings import check_word, nearest, setting
 from tissue_contact.simulate import Instance
@@ -49,7 +49,6 @@ from tissue_contact.study.stability_map import (
     try_row,
 )
 
-KEPT = "stability-kept.json"  # in the folder of the results: finished work
 KINDS = ("one", "automatic")  # of substeps
 DECADE = 10.0  # a range goes so many times below and above the value of the scene
 BUDGET_SPAN = (1 / 300, 3.0)  # of the longest step that the budget allows: range of the step with automatic substeps
@@ -64,6 +63,8 @@ EVERYWHERE = FixedBox(box=((-100.0, -100.0, -100.0), (100.0, 100.0, 100.0)))
 class Request:
     """What the command line asks for, of either study."""
 
+    KEPT: ClassVar[str]  # file in the folder of the results: finished work
+
     scene: Scene
     output: Path
     instrument: str | None = None
@@ -76,6 +77,8 @@ class Request:
 @dataclass(frozen=True)
 class MapRequest(Request):
     """Of maps."""
+
+    KEPT = "stability-kept.json"
 
     x: str = "step"
     y: str = "stiffness"
@@ -92,6 +95,8 @@ class MapRequest(Request):
 @dataclass(frozen=True)
 class HapticRequest(Request):
     """Of the loop with a haptic device."""
+
+    KEPT = "z-width-kept.json"
 
     mass: float = 0.1  # [kg]
     damping: float = 0.5  # [N·s/m]
@@ -116,7 +121,9 @@ def stability(request: MapRequest | HapticRequest) -> bool:
     Interrupted
         By the user; what is finished is kept, and the same command goes on there.
     """
-    console, kept = Console(stderr=True), request.output / KEPT
+    console = Console(stderr=True)
+    problem = problem_of(scene_key(request.scene), replace(request, workers=1, scheduler=None, progress=True))
+    kept = Kept(request.output / request.KEPT, problem)
     try:
         with bar_of(console, request.progress) as bar, pool(request.workers, request.scheduler) as spread:
             runner = _Runner(kept, spread, bar, console)
@@ -124,15 +131,15 @@ def stability(request: MapRequest | HapticRequest) -> bool:
                 told, files, holds = _maps(request, runner)
             else:
                 told, files, holds = _haptic(request, runner)
+        out = Console()
+        for part in told:
+            out.print(part, highlight=False, markup=False, soft_wrap=isinstance(part, str))
+        for name, content in files.items():
+            publish(request.output / name, content)
+            out.print(f"wrote {request.output / name}", highlight=False, markup=False, soft_wrap=True)
     except KeyboardInterrupt as error:
-        raise interrupted(kept, kept.is_file()) from error
-    kept.unlink(missing_ok=True)
-    out = Console()
-    for part in told:
-        out.print(part, highlight=False, markup=False, soft_wrap=isinstance(part, str))
-    for name, content in files.items():
-        publish(request.output / name, content)
-        out.print(f"wrote {request.output / name}", highlight=False, markup=False, soft_wrap=True)
+        raise interrupted(kept.path, bool(kept.done)) from error
+    kept.path.unlink(missing_ok=True)
     return holds
 
 
@@ -140,18 +147,17 @@ def stability(request: MapRequest | HapticRequest) -> bool:
 class _Runner:
     """Runs tasks, with what is kept and a bar."""
 
-    kept: Path
+    kept: Kept
     spread: Spread
     bar: Progress
     console: Console
 
-    def run(self, text: str, work: Any, tasks: Sequence[Any], keys: Sequence[str], problem: str) -> list[Any]:
-        store = Kept(self.kept, problem)
-        if store.done:
-            said = f"going on with {len(store.done)} finished tasks of {self.kept}"
+    def run(self, text: str, work: Any, tasks: Sequence[Any], keys: Sequence[str]) -> list[Any]:
+        if self.kept.done:
+            said = f"going on with {len(self.kept.done)} finished tasks of {self.kept.path}"
             self.console.print(said, highlight=False, markup=False)
         task = self.bar.add_task(f"{text} (the first time compiles for minutes)", total=len(tasks))
-        return store.spread(self.spread, work, tasks, keys, lambda: self.bar.advance(task))
+        return self.kept.spread(self.spread, work, tasks, keys, lambda: self.bar.advance(task))
 
 
 def _instrument(request: Request, scene: Scene) -> int:
@@ -234,8 +240,7 @@ def _maps(request: MapRequest, runner: _Runner) -> tuple[list[Any], dict[str, by
             values[kind, request.x].tolist())
         for kind, i, n in rows
     ]  # fmt: skip
-    problem = problem_of(scene.source, first.model_real, replace(request, workers=1, scheduler=None, progress=True))
-    found = runner.run("trying", try_row, tasks, [f"{kind} {i} {n}" for kind, i, n in rows], problem)
+    found = runner.run("trying", try_row, tasks, [f"{kind} {i} {n}" for kind, i, n in rows])
     cells = {key: [Cell(*cell) for cell in row] for key, row in zip(rows, found, strict=True)}
     maps = [
         make_map(i, kind == "automatic", benches[i], (request.x, values[kind, request.x]),
@@ -471,8 +476,7 @@ def _haptic(request: HapticRequest, runner: _Runner) -> tuple[list[Any], dict[st
         soft = math.inf if rigid else rest / way
         tasks.append(widths.Search(assembly, held, press, rigid, device, b, td, h, request.speed, soft, low, high))
     keys = [f"{rigid} {td} {b}" for rigid, td, b in points]
-    problem = problem_of(scene.source, assembly.model_real, replace(request, workers=1, scheduler=None, progress=True))
-    found = [widths.Width(*w) for w in runner.run("pressing", widths.z_width, tasks, keys, problem)]
+    found = [widths.Width(*w) for w in runner.run("pressing", widths.z_width, tasks, keys)]
     rows: list[dict[str, Any]] = [
         {
             "wall": "rigid" if rigid else "tissue",

@@ -15,6 +15,8 @@ from test_cli import command, refused
 from tissue_contact import simulate
 from tissue_contact.errors import InputError
 from tissue_contact.pool import in_line, pool
+from tissue_contact.scenarios import stability
+from tissue_contact.scenarios.run import Interrupted
 from tissue_contact.scene import read_scene
 from tissue_contact.study import stability_map
 from tissue_contact.study.haptic import (
@@ -350,8 +352,6 @@ def test_the_command_maps_both_kinds(scene, tmp_path):
 
 
 def test_the_command_fails_where_the_automatic_choice_is_unstable(scene, tmp_path, monkeypatch):
-    from tissue_contact.scenarios import stability
-
     def blown(row: Row):
         return [stability_map.Cell(UNSTABLE, "energy_gain", 2.0, 1e-4 * (n + 1), 9) for n, _ in enumerate(row.along)]
 
@@ -364,28 +364,74 @@ def test_the_command_fails_where_the_automatic_choice_is_unstable(scene, tmp_pat
     assert worst["cells"][UNSTABLE] == 4 and worst["statuses"] == {"energy_gain": 4}
 
 
-def test_an_interrupted_map_goes_on_where_it_was(scene, tmp_path, monkeypatch):
-    from tissue_contact.scenarios import stability
-    from tissue_contact.scenarios.run import Interrupted
-
-    request = stability.MapRequest(
-        read_scene(scene), tmp_path / "out", grid=3, integrators=["symplectic_euler"], kinds=["one"]
-    )
+@pytest.fixture
+def interrupted_map(scene, tmp_path, monkeypatch) -> tuple[stability.MapRequest, list[float]]:
+    """A map of three rows that was interrupted in the second, and the stiffness of every row that was begun."""
     tried: list[float] = []
 
     def stopping(row: Row):
         tried.append(row.fixed["stiffness"])
         if len(tried) == 2:
             raise KeyboardInterrupt
-        return try_row(row)
+        return [stability_map.Cell(STABLE, "", 0.0, 1e-3, 1) for _ in row.along]
 
     monkeypatch.setattr(stability, "try_row", stopping)
+    request = stability.MapRequest(
+        read_scene(scene), tmp_path / "out", grid=3, integrators=["symplectic_euler"], kinds=["one"]
+    )
     with pytest.raises(Interrupted, match="the same command goes on there"):
         stability.stability(request)
-    assert [p.name for p in (tmp_path / "out").iterdir()] == [stability.KEPT]
+    assert [p.name for p in request.output.iterdir()] == [request.KEPT]
+    return request, tried
+
+
+def test_an_interrupted_map_goes_on_where_it_was(interrupted_map):
+    request, tried = interrupted_map
     assert stability.stability(request)
     assert len(tried) == 4 and len(set(tried)) == 3, "the first row is not done again"
-    assert not (tmp_path / "out" / stability.KEPT).exists()
+    assert not (request.output / request.KEPT).exists()
+
+
+def test_what_other_sources_have_finished_is_done_again(interrupted_map, monkeypatch):
+    request, tried = interrupted_map
+    monkeypatch.setattr("tissue_contact.__version__", "other")
+    assert stability.stability(request)
+    assert len(tried) == 5
+
+
+def test_a_loop_leaves_an_interrupted_map_in_its_folder(interrupted_map, monkeypatch):
+    request, tried = interrupted_map
+    monkeypatch.setattr(stability.widths, "z_width", lambda search: (search.low, search.high, ""))
+    assert stability.stability(stability.HapticRequest(request.scene, request.output, delays=[0.0], virtual=[0.0]))
+    assert stability.stability(request)
+    assert len(tried) == 4
+
+
+def test_an_interruption_tells_of_nothing_that_another_map_has_kept(interrupted_map, monkeypatch):
+    def stop(row: Row):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stability, "try_row", stop)
+    with pytest.raises(Interrupted, match="Nothing kept"):
+        stability.stability(replace(interrupted_map[0], x="density"))
+
+
+def test_what_cannot_be_written_is_kept(interrupted_map, monkeypatch):
+    request, tried = interrupted_map
+    errors = iter([KeyboardInterrupt, OSError])
+
+    def fail(path: Path, content: bytes):
+        raise next(errors)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(stability, "publish", fail)
+        with pytest.raises(Interrupted, match="the same command goes on there"):
+            stability.stability(request)
+        with pytest.raises(OSError):
+            stability.stability(request)
+    assert stability.stability(request)
+    assert len(tried) == 4
+    assert not (request.output / request.KEPT).exists()
 
 
 def test_the_command_closes_the_loop(scene, tmp_path):
