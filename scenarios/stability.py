@@ -85,7 +85,7 @@ class MapRequest(Request):
     x_range: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
     grid: int = 16
-    integrators: Sequence[str] = tuple(INTEGRATORS)
+    integrators: Sequence[str] = ()  # none for all that know the forces of the tissues
     kinds: Sequence[str] = KINDS
     speed: float = 0.5  # [m/s]
     depth: float | None = None  # [m]
@@ -208,10 +208,11 @@ def _maps(request: MapRequest, runner: _Runner) -> tuple[list[Any], dict[str, by
     if "damping" in (request.x, request.y) and scene.tissue[0].damping == 0.0:
         # Half of what would make the fastest motion critical, as there is no value to start from.
         own["damping"] = float(first.model.spring_stiffness.mean()) * 0.5 * limit
+    integrators = _integrators(request, runner.console)
     benches = {}
-    for integrator in request.integrators:
+    for integrator in integrators:
         damping = {"damping": own["damping"]} if "damping" in (request.x, request.y) else {}
-        # With the substeps fixed no scheme is refused beforehand; each run sets them.
+        # With the substeps fixed no scheme is refused for want of damping; each run sets them.
         made = assemble(_varied(scene, damping, {"integrator": integrator, "substeps": 1}))
         benches[integrator] = Bench(made, own, press, depth, request.seed)
     budget = limit * scene.solver.safety * scene.solver.max_substeps
@@ -229,12 +230,7 @@ def _maps(request: MapRequest, runner: _Runner) -> tuple[list[Any], dict[str, by
                 rule = f"the range of {axis} must be in order and within {low:g} to {high:g} {_unit(scene, axis)}"
                 raise InputError(option, rule, f"{span[0]:g}:{span[1]:g}", f"The scene has {own[axis]:g}")
             values[kind, axis] = np.geomspace(*span, request.grid)
-    rows = [
-        (kind, integrator, n)
-        for kind in request.kinds
-        for integrator in request.integrators
-        for n in range(request.grid)
-    ]
+    rows = [(kind, integrator, n) for kind in request.kinds for integrator in integrators for n in range(request.grid)]
     tasks = [
         Row(benches[i], kind == "automatic", {request.y: float(values[kind, request.y][n])}, request.x,
             values[kind, request.x].tolist())
@@ -246,7 +242,7 @@ def _maps(request: MapRequest, runner: _Runner) -> tuple[list[Any], dict[str, by
         make_map(i, kind == "automatic", benches[i], (request.x, values[kind, request.x]),
                  (request.y, values[kind, request.y]), [cells[kind, i, n] for n in range(request.grid)])
         for kind in request.kinds
-        for i in request.integrators
+        for i in integrators
     ]  # fmt: skip
     units = {axis: _unit(scene, axis) for axis in (request.x, request.y)}
     files = {"stability.csv": _map_table(maps, units), "stability.json": _map_summary(maps, scene, request, own)}
@@ -254,6 +250,19 @@ def _maps(request: MapRequest, runner: _Runner) -> tuple[list[Any], dict[str, by
         files[f"{kind}.png"] = draw_maps([m for m in maps if m.automatic == (kind == "automatic")], units, scene.name)
     told = [_screen(maps), f"seed {request.seed}", *_sentences(maps, units)]
     return told, files, not any(m.automatic and m.count(UNSTABLE) for m in maps)
+
+
+def _integrators(request: MapRequest, console: Console) -> Sequence[str]:
+    """Those asked for, or all that know the forces of the tissues."""
+    asked, not_springs = request.integrators, request.scene.not_springs
+    if not not_springs or "projective_dynamics" not in (asked or INTEGRATORS):
+        return asked or tuple(INTEGRATORS)
+    if asked:
+        rule = "projective_dynamics knows no other forces in the tissue than linear springs"
+        raise InputError("--integrator", rule, not_springs[0], "Leave it out, or take implicit_euler")
+    said = f"projective_dynamics is left out, for it does not know the {not_springs[0]}"
+    console.print(said, highlight=False, markup=False, soft_wrap=True)
+    return tuple(i for i in INTEGRATORS if i != "projective_dynamics")
 
 
 def _limit_at_rest(assembly: Assembly) -> float:

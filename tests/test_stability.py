@@ -13,6 +13,7 @@ from scipy.linalg import expm
 from test_cli import command, refused
 
 from tissue_contact import simulate
+from tissue_contact.assemble import INTEGRATORS
 from tissue_contact.errors import InputError
 from tissue_contact.pool import in_line, pool
 from tissue_contact.scenarios import stability
@@ -362,6 +363,27 @@ def test_the_command_fails_where_the_automatic_choice_is_unstable(scene, tmp_pat
     assert not stability.stability(request)
     worst = json.loads((tmp_path / "out" / "stability.json").read_text())["maps"][0]
     assert worst["cells"][UNSTABLE] == 4 and worst["statuses"] == {"energy_gain": 4}
+
+
+def stiffening(scene: Path) -> Path:
+    """The scene, with springs that stiffen."""
+    scene.write_text(scene.read_text().replace("areal_density", "nonlinearity = 1.0\nareal_density"))
+    return scene
+
+
+def test_projective_dynamics_is_left_out_where_it_does_not_know_the_forces(scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(stability, "try_row", lambda row: [stability_map.Cell(STABLE, "", 0.0, 1e-3, 1)] * 2)
+    request = stability.MapRequest(read_scene(stiffening(scene)), tmp_path / "out", grid=2, kinds=["one"])
+    assert stability.stability(request)
+    told = json.loads((request.output / "stability.json").read_text())
+    assert {m["integrator"] for m in told["maps"]} == set(INTEGRATORS) - {"projective_dynamics"}
+    assert "projective_dynamics is left out, for it does not know the nonlinearity of tissue" in capsys.readouterr().err
+
+
+def test_projective_dynamics_is_refused_by_the_option_that_asks_for_it(scene, tmp_path):
+    words = ["--integrator", "projective_dynamics", "--integrator", "implicit_euler"]
+    said = refused("stability", stiffening(scene), "-o", tmp_path / "out", *words, cwd=tmp_path)
+    assert said.startswith("tissue-contact: --integrator: ") and "nonlinearity of tissue" in said
 
 
 @pytest.fixture
