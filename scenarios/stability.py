@@ -31,7 +31,7 @@ from tissue_contact.scene import Contact, FixedBox, Scene, Solver, Tissue
 from tissue_contact.settings import check_word, nearest, setting
 from tissue_contact.simulate import Instance
 from tissue_contact.study import z_width as widths
-from tissue_contact.study.haptic import Device, exact_stiffness, passive_stiffness
+from tissue_contact.study.haptic import Device, exact_stiffness, linear_stiffness, passive_stiffness
 from tissue_contact.study.press import Press, find_press
 from tissue_contact.study.stability_map import (
     AXES,
@@ -54,7 +54,7 @@ DECADE = 10.0  # a range goes so many times below and above the value of the sce
 BUDGET_SPAN = (1 / 300, 3.0)  # of the longest step that the budget allows: range of the step with automatic substeps
 SPEED_RANGE = (1e-6, 1e3)  # [m/s]
 SCALE_RANGE = (1e-3, 1e3)  # of the scene's own stiffness: what the parameter stiffnessScale takes, and as far below
-SEARCHED = (0.02, 20.0)  # stiffness, times (b + B)/(T/2 + delay), about what a linear loop bears
+SEARCHED = (0.02, 20.0)  # stiffness, times `linear_stiffness`
 VIRTUAL = (0.0, 0.25, 1.0, 4.0)  # damping of the contact, times that of the device
 EVERYWHERE = FixedBox(box=((-100.0, -100.0, -100.0), (100.0, 100.0, 100.0)))
 
@@ -480,7 +480,7 @@ def _haptic(request: HapticRequest, runner: _Runner) -> tuple[list[Any], dict[st
     points = [(rigid, td, b) for rigid in (True, False) for td in request.delays for b in virtual]
     tasks = []
     for rigid, td, b in points:
-        about = (request.damping + b) / (0.5 * h + td)
+        about = linear_stiffness(device, b, h, td)
         low, high = (float(np.clip(f * about, least, greatest)) for f in SEARCHED)
         soft = math.inf if rigid else rest / way
         tasks.append(widths.Search(assembly, held, press, rigid, device, b, td, h, request.speed, soft, low, high))
@@ -538,8 +538,12 @@ def _haptic_sentences(rows: Sequence[Mapping[str, Any]], push: float, soft: floa
         # by more than the search leaves open
         below = sum(widths.RATIO * row["not borne [N/m]"] < row["passive bound [N/m]"] for row in own)
         ratios = [row["borne [N/m]"] / row["linear limit [N/m]"] for row in own if row["linear limit [N/m]"] > 0.0]
-        text = f"{wall} wall: {below} of {len(own)} limits lie below the bound of passivity"
-        said.append(f"{text}; {min(ratios):.3g} to {max(ratios):.3g} times the linear limit of this device is borne")
+        borne = (
+            f"{min(ratios):.3g} to {max(ratios):.3g} times the linear limit of this device is borne"
+            if ratios
+            else "the linear loop of this device is unstable at any stiffness"
+        )
+        said.append(f"{wall} wall: {below} of {len(own)} limits lie below the bound of passivity; {borne}")
     return said
 
 
@@ -551,6 +555,7 @@ def draw_widths(rows: Sequence[Mapping[str, Any]], device: Device, period: float
     delays = sorted({row["delay [s]"] for row in rows})
     colours = ["#1b6ca8", "#d95f02", "#66a61e", "#7b3f9d", "#4d4d4d"]
     fine = np.linspace(0.0, max(row["virtual damping [N.s/m]"] for row in rows), 80)
+    limits = {td: [exact_stiffness(device, f, period, td) for f in fine] for td in delays}
     for ax, wall in zip(axes, ("rigid", "tissue"), strict=True):
         for n, td in enumerate(delays):
             colour = colours[n % len(colours)]
@@ -563,7 +568,7 @@ def draw_widths(rows: Sequence[Mapping[str, Any]], device: Device, period: float
                     ax.annotate("", (row["virtual damping [N.s/m]"], 1.6 * row["borne [N/m]"]),
                                 (row["virtual damping [N.s/m]"], row["borne [N/m]"]),
                                 arrowprops={"arrowstyle": "->", "color": colour})  # fmt: skip
-            ax.plot(fine, [exact_stiffness(device, f, period, td) for f in fine], "-", color=colour, lw=1.0)
+            ax.plot(fine, limits[td], "-", color=colour, lw=1.0)
             bound = np.array([passive_stiffness(device.damping, f, period, td) for f in fine])
             ax.plot(fine[bound > 0], bound[bound > 0], "--", color=colour, lw=1.4)
         ax.set(yscale="log", xlabel="virtual damping B [N.s/m]", title=f"{wall} wall")

@@ -27,6 +27,7 @@ from tissue_contact.study.haptic import (
     dies_away,
     exact_stiffness,
     lag,
+    linear_stiffness,
     loop_matrix,
     passive_stiffness,
 )
@@ -244,6 +245,21 @@ def test_the_bound_of_passivity_is_below_the_limit_of_any_device(delay, virtual)
     assert min(limits) >= bound
     if virtual == 0.0:
         assert limits[-1] == pytest.approx(bound, rel=0.01)
+
+
+@pytest.mark.parametrize("share", [1e-4, 1e4])
+@pytest.mark.parametrize("delay", [0.0, 5e-3])
+def test_the_limit_goes_with_mass_and_dampings(share, delay):
+    """Stiffness, damping and mass stand in every term of the loop: limits are soft or stiff as the device is light."""
+    limit = exact_stiffness(Device(0.1, 0.4), 0.1, T, delay)
+    scaled = exact_stiffness(Device(0.1 * share, 0.3 * share, hand_damping=0.1 * share), 0.1 * share, T, delay)
+    assert scaled == pytest.approx(share * limit, rel=1e-5)
+
+
+@pytest.mark.parametrize(("damping", "delay"), [(0.05, 0.1), (0.004, 5e-3), (0.5, 0.0)])
+def test_a_heavy_device_has_the_limit_of_small_dampings(damping, delay):
+    device = Device(10.0, damping)
+    assert exact_stiffness(device, 0.0, T, delay) == pytest.approx(linear_stiffness(device, 0.0, T, delay), rel=1e-3)
 
 
 def test_the_bound_of_passivity_is_that_of_the_condition_for_any_controller():
@@ -464,6 +480,16 @@ def test_the_command_closes_the_loop(scene, tmp_path):
     rigid, tissue = csv.DictReader((out / "z-width.csv").open())
     assert float(rigid["borne [N/m]"]) < float(tissue["borne [N/m]"])
     assert "0 of 1 limits lie below the bound" in done.stdout
+
+
+def test_a_device_that_no_linear_loop_bears_is_told_of(scene, tmp_path, monkeypatch, capsys):
+    """Its virtual damping is more than the mass over a period."""
+    monkeypatch.setattr(stability.widths, "z_width", lambda search: (0.0, search.low, "energy_gain"))
+    request = stability.HapticRequest(read_scene(scene), tmp_path / "out", delays=[5e-3], virtual=[1e3])
+    assert stability.stability(request)
+    rows = csv.DictReader((request.output / "z-width.csv").read_text().splitlines())
+    assert [float(row["linear limit [N/m]"]) for row in rows] == [0.0, 0.0]
+    assert capsys.readouterr().out.count("the linear loop of this device is unstable at any stiffness") == 2
 
 
 @pytest.mark.parametrize(
