@@ -15,6 +15,7 @@ from test_cli import command, refused
 from tissue_contact import simulate
 from tissue_contact.assemble import INTEGRATORS
 from tissue_contact.errors import InputError
+from tissue_contact.kernels.slots import AREAL_DENSITY, SUPPORT_DAMPING, TISSUE_PARAMETERS
 from tissue_contact.pool import in_line, pool
 from tissue_contact.scenarios import stability
 from tissue_contact.scenarios.run import Interrupted
@@ -108,8 +109,8 @@ def chain_bench(scheme: str) -> tuple[Bench, float]:
 def test_the_scheme_is_stable_below_its_limit_and_unstable_above(scale):
     bench, exact = chain_bench("symplectic_euler")
     exact /= math.sqrt(scale)
-    values = {**bench.values, "stiffness": scale * bench.values["stiffness"]}
-    calm, swinging, wild = (try_scheme(bench, {**values, "step": f * exact}) for f in (0.2, 0.98, 1.03))
+    stiffness = scale * bench.values["stiffness"]
+    calm, swinging, wild = (try_scheme(bench, {"stiffness": stiffness, "step": f * exact}) for f in (0.2, 0.98, 1.03))
     # A motion at the share s of its limit swings by s²/(1 - s²), 0.04 for a fifth and 24 for 0.98.
     assert (calm.verdict, swinging.verdict, wild.verdict) == (STABLE, MARGINAL, UNSTABLE)
     assert wild.status
@@ -119,9 +120,9 @@ def test_the_scheme_is_stable_below_its_limit_and_unstable_above(scale):
 
 def test_explicit_euler_without_damping_grows_at_any_step_and_implicit_euler_at_none():
     (explicit, exact), (implicit, _) = chain_bench("explicit_euler"), chain_bench("implicit_euler")
-    grown = try_scheme(explicit, {**explicit.values, "step": 0.1 * exact})
+    grown = try_scheme(explicit, {"step": 0.1 * exact})
     assert grown.limit == 0.0 and grown.verdict == UNSTABLE
-    calm = try_scheme(implicit, {**implicit.values, "step": 30 * exact})
+    calm = try_scheme(implicit, {"step": 30 * exact})
     assert calm.limit == math.inf and calm.verdict == STABLE and calm.gain <= 0.0
 
 
@@ -140,10 +141,10 @@ def sheet_bench(assembly, **own: float) -> Bench:
 @pytest.mark.parametrize("scheme", ["symplectic_euler", "explicit_euler", "implicit_euler", "runge_kutta_4"])
 def test_automatic_substeps_hold_until_the_budget_and_are_refused_beyond(scheme):
     bench = sheet_bench(sheet(f'integrator = "{scheme}"\nmax_substeps = 50'))
-    limit = try_automatic(bench, bench.values).limit
+    limit = try_automatic(bench, {}).limit
     longest = 0.95 * 50 * min(limit, 1e-3)
-    assert try_automatic(bench, {**bench.values, "step": 0.8 * longest}).verdict == STABLE
-    beyond = try_automatic(bench, {**bench.values, "step": 1.3 * longest})
+    assert try_automatic(bench, {"step": 0.8 * longest}).verdict == STABLE
+    beyond = try_automatic(bench, {"step": 1.3 * longest})
     if scheme == "implicit_euler":
         assert beyond.verdict == STABLE
     else:
@@ -154,11 +155,11 @@ def test_a_choice_that_fails_where_more_substeps_hold_is_unstable():
     """The kernels cannot be made to choose wrongly: a safety of 3, at which all blows up, stands for it."""
     assembly = sheet("max_substeps = 200")
     assembly.model.safety[0] = 3.0
-    cell = try_automatic(sheet_bench(assembly), sheet_bench(assembly).values)
+    cell = try_automatic(sheet_bench(assembly), {})
     assert cell.verdict == UNSTABLE and cell.status
     # Where the budget ends below what is stable, it is refused rightly.
     assembly.model.substeps_max[0] = cell.substeps or 1
-    assert try_automatic(sheet_bench(assembly), sheet_bench(assembly).values).verdict == REFUSED
+    assert try_automatic(sheet_bench(assembly), {}).verdict == REFUSED
 
 
 def test_every_value_of_a_cell_reaches_the_model():
@@ -172,6 +173,24 @@ def test_every_value_of_a_cell_reaches_the_model():
     assert named["contact.stiffnessPerArea"] == pytest.approx(1e6)
     model = instance._model.fields
     assert model.substeps_fixed[0] == 7 and model.detection_period[0] == 2e-3
+
+
+def test_a_varied_value_is_that_of_all_tissues_and_another_stays_that_of_each():
+    """Also the value that the first tissue has, and the one that stands for a support damping that the scene lacks."""
+    bare = SHEET.replace("support_damping = 2000.0\n", "")
+    other = bare[bare.index("[[tissue]]") : bare.index("[[instrument]]")].replace("2.0\n", "4.0\n")
+    between = 'between = ["one", "instrument"]\n'
+    contact = f"{FIELD}\n{between}" + other.format(tissue='name = "two"')
+    assembly = assembled(bare.format(solver="", tissue='name = "one"', contact=contact))
+    bench = sheet_bench(assembly, support_damping=44.0)
+
+    def found(**varied: float) -> list[list[float]]:
+        parameters = stability_map._instance(bench, varied, 1).parameters[: 2 * TISSUE_PARAMETERS]
+        return parameters.reshape(2, -1)[:, [AREAL_DENSITY, SUPPORT_DAMPING]].tolist()
+
+    assert found() == [[2.0, 0.0], [4.0, 0.0]]
+    assert found(density=2.0) == [[2.0, 0.0], [2.0, 0.0]]
+    assert found(support_damping=44.0) == [[2.0, 44.0], [4.0, 44.0]]
 
 
 def test_rows_are_the_same_from_another_process():
