@@ -324,7 +324,8 @@ def stability(
     y: Annotated[str, typer.Option(metavar="AXIS[=LOW:HIGH]", help="Constant along y.")] = "stiffness",
     grid: Annotated[int, typer.Option(min=2, max=1000, help="Values on each axis.")] = 16,
     integrator: Annotated[
-        list[str] | None, typer.Option(help="Scheme in time, may be given several times. All of them by default.")
+        list[str] | None,
+        typer.Option(help="Scheme in time, may be given several times. All that know the tissues' forces by default."),
     ] = None,
     substeps: Annotated[
         list[str] | None,
@@ -388,12 +389,11 @@ def stability(
     else:
         ranges = {name: _ranges([word], name, 2) for name, word in (("--x", x), ("--y", y)) if "=" in word}
         spans = {name: next(iter(span.values())) for name, span in ranges.items()}
-        more: dict[str, Any] = {"integrators": tuple(integrator)} if integrator else {}
-        if substeps:
-            more["kinds"] = tuple(substeps)
+        more: dict[str, Any] = {"kinds": tuple(substeps)} if substeps else {}
         request = MapRequest(
             **common, x=x.partition("=")[0], y=y.partition("=")[0], x_range=_pair(spans.get("--x")),
-            y_range=_pair(spans.get("--y")), grid=grid, seed=seed, depth=depth, speed=speed or 0.5, **more,
+            y_range=_pair(spans.get("--y")), grid=grid, integrators=tuple(integrator or ()), seed=seed, depth=depth,
+            speed=speed or 0.5, **more,
         )  # fmt: skip
     if not study(request):
         raise typer.Exit(1)

@@ -526,17 +526,21 @@ class Scene(Settings):
         """All that is rigid: the instruments, then the rigid bodies."""
         return (*self.instrument, *self.rigid)
 
+    @property
+    def not_springs(self) -> list[str]:
+        """The first key of each tissue that resists otherwise than by linear springs, with its name."""
+        return [f"{t.beyond_springs[0]} of tissue {t.name}" for t in self.tissue if t.beyond_springs]
+
     @model_validator(mode="after")
     def _preset(self) -> "Scene":
         """Fill in the solver's keys that its preset gives and the file does not."""
         solver, given = self.solver, self.solver.model_fields_set
         chosen = PRESETS[solver.preset]
-        not_springs = [f"{t.beyond_springs[0]} of tissue {t.name}" for t in self.tissue if t.beyond_springs]
-        if not_springs and chosen.integrator == "projective_dynamics" and "integrator" not in given:
+        if self.not_springs and chosen.integrator == "projective_dynamics" and "integrator" not in given:
             if "preset" in given:
                 self._remarks = (
                     f"preset {solver.preset} is {BEYOND_SPRINGS.words} in this scene, for {chosen.integrator} does not "
-                    f"know the {not_springs[0]}",
+                    f"know the {self.not_springs[0]}",
                 )
             chosen = BEYOND_SPRINGS
         # What goes with another integrator than the file's has no meaning for that.

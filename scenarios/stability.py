@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -26,12 +26,12 @@ from tissue_contact.files import publish
 from tissue_contact.kernels.layout import Real
 from tissue_contact.pool import Kept, Spread, pool, problem_of
 from tissue_contact.scenarios.report import png
-from tissue_contact.scenarios.run import bar_of, interrupted
+from tissue_contact.scenarios.run import bar_of, interrupted, scene_key
 from tissue_contact.scene import Contact, FixedBox, Scene, Solver, Tissue
 from tissue_contact.settings import check_word, nearest, setting
 from tissue_contact.simulate import Instance
 from tissue_contact.study import z_width as widths
-from tissue_contact.study.haptic import Device, exact_stiffness, passive_stiffness
+from tissue_contact.study.haptic import Device, exact_stiffness, linear_stiffness, passive_stiffness
 from tissue_contact.study.press import Press, find_press
 from tissue_contact.study.stability_map import (
     AXES,
@@ -49,13 +49,12 @@ from tissue_contact.study.stability_map import (
     try_row,
 )
 
-KEPT = "stability-kept.json"  # in the folder of the results: finished work
 KINDS = ("one", "automatic")  # of substeps
 DECADE = 10.0  # a range goes so many times below and above the value of the scene
 BUDGET_SPAN = (1 / 300, 3.0)  # of the longest step that the budget allows: range of the step with automatic substeps
 SPEED_RANGE = (1e-6, 1e3)  # [m/s]
 SCALE_RANGE = (1e-3, 1e3)  # of the scene's own stiffness: what the parameter stiffnessScale takes, and as far below
-SEARCHED = (0.02, 20.0)  # stiffness, times (b + B)/(T/2 + delay), about what a linear loop bears
+SEARCHED = (0.02, 20.0)  # stiffness, times `linear_stiffness`
 VIRTUAL = (0.0, 0.25, 1.0, 4.0)  # damping of the contact, times that of the device
 EVERYWHERE = FixedBox(box=((-100.0, -100.0, -100.0), (100.0, 100.0, 100.0)))
 
@@ -63,6 +62,8 @@ EVERYWHERE = FixedBox(box=((-100.0, -100.0, -100.0), (100.0, 100.0, 100.0)))
 @dataclass(frozen=True)
 class Request:
     """What the command line asks for, of either study."""
+
+    KEPT: ClassVar[str]  # file in the folder of the results: finished work
 
     scene: Scene
     output: Path
@@ -77,12 +78,14 @@ class Request:
 class MapRequest(Request):
     """Of maps."""
 
+    KEPT = "stability-kept.json"
+
     x: str = "step"
     y: str = "stiffness"
     x_range: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
     grid: int = 16
-    integrators: Sequence[str] = tuple(INTEGRATORS)
+    integrators: Sequence[str] = ()  # none for all that know the forces of the tissues
     kinds: Sequence[str] = KINDS
     speed: float = 0.5  # [m/s]
     depth: float | None = None  # [m]
@@ -92,6 +95,8 @@ class MapRequest(Request):
 @dataclass(frozen=True)
 class HapticRequest(Request):
     """Of the loop with a haptic device."""
+
+    KEPT = "z-width-kept.json"
 
     mass: float = 0.1  # [kg]
     damping: float = 0.5  # [N·s/m]
@@ -116,7 +121,9 @@ def stability(request: MapRequest | HapticRequest) -> bool:
     Interrupted
         By the user; what is finished is kept, and the same command goes on there.
     """
-    console, kept = Console(stderr=True), request.output / KEPT
+    console = Console(stderr=True)
+    problem = problem_of(scene_key(request.scene), replace(request, workers=1, scheduler=None, progress=True))
+    kept = Kept(request.output / request.KEPT, problem)
     try:
         with bar_of(console, request.progress) as bar, pool(request.workers, request.scheduler) as spread:
             runner = _Runner(kept, spread, bar, console)
@@ -124,15 +131,15 @@ def stability(request: MapRequest | HapticRequest) -> bool:
                 told, files, holds = _maps(request, runner)
             else:
                 told, files, holds = _haptic(request, runner)
+        out = Console()
+        for part in told:
+            out.print(part, highlight=False, markup=False, soft_wrap=isinstance(part, str))
+        for name, content in files.items():
+            publish(request.output / name, content)
+            out.print(f"wrote {request.output / name}", highlight=False, markup=False, soft_wrap=True)
     except KeyboardInterrupt as error:
-        raise interrupted(kept, kept.is_file()) from error
-    kept.unlink(missing_ok=True)
-    out = Console()
-    for part in told:
-        out.print(part, highlight=False, markup=False, soft_wrap=isinstance(part, str))
-    for name, content in files.items():
-        publish(request.output / name, content)
-        out.print(f"wrote {request.output / name}", highlight=False, markup=False, soft_wrap=True)
+        raise interrupted(kept.path, bool(kept.done)) from error
+    kept.path.unlink(missing_ok=True)
     return holds
 
 
@@ -140,18 +147,17 @@ def stability(request: MapRequest | HapticRequest) -> bool:
 class _Runner:
     """Runs tasks, with what is kept and a bar."""
 
-    kept: Path
+    kept: Kept
     spread: Spread
     bar: Progress
     console: Console
 
-    def run(self, text: str, work: Any, tasks: Sequence[Any], keys: Sequence[str], problem: str) -> list[Any]:
-        store = Kept(self.kept, problem)
-        if store.done:
-            said = f"going on with {len(store.done)} finished tasks of {self.kept}"
+    def run(self, text: str, work: Any, tasks: Sequence[Any], keys: Sequence[str]) -> list[Any]:
+        if self.kept.done:
+            said = f"going on with {len(self.kept.done)} finished tasks of {self.kept.path}"
             self.console.print(said, highlight=False, markup=False)
         task = self.bar.add_task(f"{text} (the first time compiles for minutes)", total=len(tasks))
-        return store.spread(self.spread, work, tasks, keys, lambda: self.bar.advance(task))
+        return self.kept.spread(self.spread, work, tasks, keys, lambda: self.bar.advance(task))
 
 
 def _instrument(request: Request, scene: Scene) -> int:
@@ -202,10 +208,11 @@ def _maps(request: MapRequest, runner: _Runner) -> tuple[list[Any], dict[str, by
     if "damping" in (request.x, request.y) and scene.tissue[0].damping == 0.0:
         # Half of what would make the fastest motion critical, as there is no value to start from.
         own["damping"] = float(first.model.spring_stiffness.mean()) * 0.5 * limit
+    integrators = _integrators(request, runner.console)
     benches = {}
-    for integrator in request.integrators:
+    for integrator in integrators:
         damping = {"damping": own["damping"]} if "damping" in (request.x, request.y) else {}
-        # With the substeps fixed no scheme is refused beforehand; each run sets them.
+        # With the substeps fixed no scheme is refused for want of damping; each run sets them.
         made = assemble(_varied(scene, damping, {"integrator": integrator, "substeps": 1}))
         benches[integrator] = Bench(made, own, press, depth, request.seed)
     budget = limit * scene.solver.safety * scene.solver.max_substeps
@@ -223,25 +230,19 @@ def _maps(request: MapRequest, runner: _Runner) -> tuple[list[Any], dict[str, by
                 rule = f"the range of {axis} must be in order and within {low:g} to {high:g} {_unit(scene, axis)}"
                 raise InputError(option, rule, f"{span[0]:g}:{span[1]:g}", f"The scene has {own[axis]:g}")
             values[kind, axis] = np.geomspace(*span, request.grid)
-    rows = [
-        (kind, integrator, n)
-        for kind in request.kinds
-        for integrator in request.integrators
-        for n in range(request.grid)
-    ]
+    rows = [(kind, integrator, n) for kind in request.kinds for integrator in integrators for n in range(request.grid)]
     tasks = [
         Row(benches[i], kind == "automatic", {request.y: float(values[kind, request.y][n])}, request.x,
             values[kind, request.x].tolist())
         for kind, i, n in rows
     ]  # fmt: skip
-    problem = problem_of(scene.source, first.model_real, replace(request, workers=1, scheduler=None, progress=True))
-    found = runner.run("trying", try_row, tasks, [f"{kind} {i} {n}" for kind, i, n in rows], problem)
+    found = runner.run("trying", try_row, tasks, [f"{kind} {i} {n}" for kind, i, n in rows])
     cells = {key: [Cell(*cell) for cell in row] for key, row in zip(rows, found, strict=True)}
     maps = [
         make_map(i, kind == "automatic", benches[i], (request.x, values[kind, request.x]),
                  (request.y, values[kind, request.y]), [cells[kind, i, n] for n in range(request.grid)])
         for kind in request.kinds
-        for i in request.integrators
+        for i in integrators
     ]  # fmt: skip
     units = {axis: _unit(scene, axis) for axis in (request.x, request.y)}
     files = {"stability.csv": _map_table(maps, units), "stability.json": _map_summary(maps, scene, request, own)}
@@ -249,6 +250,19 @@ def _maps(request: MapRequest, runner: _Runner) -> tuple[list[Any], dict[str, by
         files[f"{kind}.png"] = draw_maps([m for m in maps if m.automatic == (kind == "automatic")], units, scene.name)
     told = [_screen(maps), f"seed {request.seed}", *_sentences(maps, units)]
     return told, files, not any(m.automatic and m.count(UNSTABLE) for m in maps)
+
+
+def _integrators(request: MapRequest, console: Console) -> Sequence[str]:
+    """Those asked for, or all that know the forces of the tissues."""
+    asked, not_springs = request.integrators, request.scene.not_springs
+    if not not_springs or "projective_dynamics" not in (asked or INTEGRATORS):
+        return asked or tuple(INTEGRATORS)
+    if asked:
+        rule = "projective_dynamics knows no other forces in the tissue than linear springs"
+        raise InputError("--integrator", rule, not_springs[0], "Leave it out, or take implicit_euler")
+    said = f"projective_dynamics is left out, for it does not know the {not_springs[0]}"
+    console.print(said, highlight=False, markup=False, soft_wrap=True)
+    return tuple(i for i in INTEGRATORS if i != "projective_dynamics")
 
 
 def _limit_at_rest(assembly: Assembly) -> float:
@@ -466,13 +480,12 @@ def _haptic(request: HapticRequest, runner: _Runner) -> tuple[list[Any], dict[st
     points = [(rigid, td, b) for rigid in (True, False) for td in request.delays for b in virtual]
     tasks = []
     for rigid, td, b in points:
-        about = (request.damping + b) / (0.5 * h + td)
+        about = linear_stiffness(device, b, h, td)
         low, high = (float(np.clip(f * about, least, greatest)) for f in SEARCHED)
         soft = math.inf if rigid else rest / way
         tasks.append(widths.Search(assembly, held, press, rigid, device, b, td, h, request.speed, soft, low, high))
     keys = [f"{rigid} {td} {b}" for rigid, td, b in points]
-    problem = problem_of(scene.source, assembly.model_real, replace(request, workers=1, scheduler=None, progress=True))
-    found = [widths.Width(*w) for w in runner.run("pressing", widths.z_width, tasks, keys, problem)]
+    found = [widths.Width(*w) for w in runner.run("pressing", widths.z_width, tasks, keys)]
     rows: list[dict[str, Any]] = [
         {
             "wall": "rigid" if rigid else "tissue",
@@ -525,8 +538,12 @@ def _haptic_sentences(rows: Sequence[Mapping[str, Any]], push: float, soft: floa
         # by more than the search leaves open
         below = sum(widths.RATIO * row["not borne [N/m]"] < row["passive bound [N/m]"] for row in own)
         ratios = [row["borne [N/m]"] / row["linear limit [N/m]"] for row in own if row["linear limit [N/m]"] > 0.0]
-        text = f"{wall} wall: {below} of {len(own)} limits lie below the bound of passivity"
-        said.append(f"{text}; {min(ratios):.3g} to {max(ratios):.3g} times the linear limit of this device is borne")
+        borne = (
+            f"{min(ratios):.3g} to {max(ratios):.3g} times the linear limit of this device is borne"
+            if ratios
+            else "the linear loop of this device is unstable at any stiffness"
+        )
+        said.append(f"{wall} wall: {below} of {len(own)} limits lie below the bound of passivity; {borne}")
     return said
 
 
@@ -538,6 +555,7 @@ def draw_widths(rows: Sequence[Mapping[str, Any]], device: Device, period: float
     delays = sorted({row["delay [s]"] for row in rows})
     colours = ["#1b6ca8", "#d95f02", "#66a61e", "#7b3f9d", "#4d4d4d"]
     fine = np.linspace(0.0, max(row["virtual damping [N.s/m]"] for row in rows), 80)
+    limits = {td: [exact_stiffness(device, f, period, td) for f in fine] for td in delays}
     for ax, wall in zip(axes, ("rigid", "tissue"), strict=True):
         for n, td in enumerate(delays):
             colour = colours[n % len(colours)]
@@ -550,7 +568,7 @@ def draw_widths(rows: Sequence[Mapping[str, Any]], device: Device, period: float
                     ax.annotate("", (row["virtual damping [N.s/m]"], 1.6 * row["borne [N/m]"]),
                                 (row["virtual damping [N.s/m]"], row["borne [N/m]"]),
                                 arrowprops={"arrowstyle": "->", "color": colour})  # fmt: skip
-            ax.plot(fine, [exact_stiffness(device, f, period, td) for f in fine], "-", color=colour, lw=1.0)
+            ax.plot(fine, limits[td], "-", color=colour, lw=1.0)
             bound = np.array([passive_stiffness(device.damping, f, period, td) for f in fine])
             ax.plot(fine[bound > 0], bound[bound > 0], "--", color=colour, lw=1.4)
         ax.set(yscale="log", xlabel="virtual damping B [N.s/m]", title=f"{wall} wall")

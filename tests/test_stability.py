@@ -13,8 +13,12 @@ from scipy.linalg import expm
 from test_cli import command, refused
 
 from tissue_contact import simulate
+from tissue_contact.assemble import INTEGRATORS
 from tissue_contact.errors import InputError
+from tissue_contact.kernels.slots import AREAL_DENSITY, SUPPORT_DAMPING, TISSUE_PARAMETERS
 from tissue_contact.pool import in_line, pool
+from tissue_contact.scenarios import stability
+from tissue_contact.scenarios.run import Interrupted
 from tissue_contact.scene import read_scene
 from tissue_contact.study import stability_map
 from tissue_contact.study.haptic import (
@@ -24,6 +28,7 @@ from tissue_contact.study.haptic import (
     dies_away,
     exact_stiffness,
     lag,
+    linear_stiffness,
     loop_matrix,
     passive_stiffness,
 )
@@ -104,8 +109,8 @@ def chain_bench(scheme: str) -> tuple[Bench, float]:
 def test_the_scheme_is_stable_below_its_limit_and_unstable_above(scale):
     bench, exact = chain_bench("symplectic_euler")
     exact /= math.sqrt(scale)
-    values = {**bench.values, "stiffness": scale * bench.values["stiffness"]}
-    calm, swinging, wild = (try_scheme(bench, {**values, "step": f * exact}) for f in (0.2, 0.98, 1.03))
+    stiffness = scale * bench.values["stiffness"]
+    calm, swinging, wild = (try_scheme(bench, {"stiffness": stiffness, "step": f * exact}) for f in (0.2, 0.98, 1.03))
     # A motion at the share s of its limit swings by s²/(1 - s²), 0.04 for a fifth and 24 for 0.98.
     assert (calm.verdict, swinging.verdict, wild.verdict) == (STABLE, MARGINAL, UNSTABLE)
     assert wild.status
@@ -115,9 +120,9 @@ def test_the_scheme_is_stable_below_its_limit_and_unstable_above(scale):
 
 def test_explicit_euler_without_damping_grows_at_any_step_and_implicit_euler_at_none():
     (explicit, exact), (implicit, _) = chain_bench("explicit_euler"), chain_bench("implicit_euler")
-    grown = try_scheme(explicit, {**explicit.values, "step": 0.1 * exact})
+    grown = try_scheme(explicit, {"step": 0.1 * exact})
     assert grown.limit == 0.0 and grown.verdict == UNSTABLE
-    calm = try_scheme(implicit, {**implicit.values, "step": 30 * exact})
+    calm = try_scheme(implicit, {"step": 30 * exact})
     assert calm.limit == math.inf and calm.verdict == STABLE and calm.gain <= 0.0
 
 
@@ -136,10 +141,10 @@ def sheet_bench(assembly, **own: float) -> Bench:
 @pytest.mark.parametrize("scheme", ["symplectic_euler", "explicit_euler", "implicit_euler", "runge_kutta_4"])
 def test_automatic_substeps_hold_until_the_budget_and_are_refused_beyond(scheme):
     bench = sheet_bench(sheet(f'integrator = "{scheme}"\nmax_substeps = 50'))
-    limit = try_automatic(bench, bench.values).limit
+    limit = try_automatic(bench, {}).limit
     longest = 0.95 * 50 * min(limit, 1e-3)
-    assert try_automatic(bench, {**bench.values, "step": 0.8 * longest}).verdict == STABLE
-    beyond = try_automatic(bench, {**bench.values, "step": 1.3 * longest})
+    assert try_automatic(bench, {"step": 0.8 * longest}).verdict == STABLE
+    beyond = try_automatic(bench, {"step": 1.3 * longest})
     if scheme == "implicit_euler":
         assert beyond.verdict == STABLE
     else:
@@ -150,11 +155,11 @@ def test_a_choice_that_fails_where_more_substeps_hold_is_unstable():
     """The kernels cannot be made to choose wrongly: a safety of 3, at which all blows up, stands for it."""
     assembly = sheet("max_substeps = 200")
     assembly.model.safety[0] = 3.0
-    cell = try_automatic(sheet_bench(assembly), sheet_bench(assembly).values)
+    cell = try_automatic(sheet_bench(assembly), {})
     assert cell.verdict == UNSTABLE and cell.status
     # Where the budget ends below what is stable, it is refused rightly.
     assembly.model.substeps_max[0] = cell.substeps or 1
-    assert try_automatic(sheet_bench(assembly), sheet_bench(assembly).values).verdict == REFUSED
+    assert try_automatic(sheet_bench(assembly), {}).verdict == REFUSED
 
 
 def test_every_value_of_a_cell_reaches_the_model():
@@ -168,6 +173,24 @@ def test_every_value_of_a_cell_reaches_the_model():
     assert named["contact.stiffnessPerArea"] == pytest.approx(1e6)
     model = instance._model.fields
     assert model.substeps_fixed[0] == 7 and model.detection_period[0] == 2e-3
+
+
+def test_a_varied_value_is_that_of_all_tissues_and_another_stays_that_of_each():
+    """Also the value that the first tissue has, and the one that stands for a support damping that the scene lacks."""
+    bare = SHEET.replace("support_damping = 2000.0\n", "")
+    other = bare[bare.index("[[tissue]]") : bare.index("[[instrument]]")].replace("2.0\n", "4.0\n")
+    between = 'between = ["one", "instrument"]\n'
+    contact = f"{FIELD}\n{between}" + other.format(tissue='name = "two"')
+    assembly = assembled(bare.format(solver="", tissue='name = "one"', contact=contact))
+    bench = sheet_bench(assembly, support_damping=44.0)
+
+    def found(**varied: float) -> list[list[float]]:
+        parameters = stability_map._instance(bench, varied, 1).parameters[: 2 * TISSUE_PARAMETERS]
+        return parameters.reshape(2, -1)[:, [AREAL_DENSITY, SUPPORT_DAMPING]].tolist()
+
+    assert found() == [[2.0, 0.0], [4.0, 0.0]]
+    assert found(density=2.0) == [[2.0, 0.0], [2.0, 0.0]]
+    assert found(support_damping=44.0) == [[2.0, 44.0], [4.0, 44.0]]
 
 
 def test_rows_are_the_same_from_another_process():
@@ -241,6 +264,21 @@ def test_the_bound_of_passivity_is_below_the_limit_of_any_device(delay, virtual)
     assert min(limits) >= bound
     if virtual == 0.0:
         assert limits[-1] == pytest.approx(bound, rel=0.01)
+
+
+@pytest.mark.parametrize("share", [1e-4, 1e4])
+@pytest.mark.parametrize("delay", [0.0, 5e-3])
+def test_the_limit_goes_with_mass_and_dampings(share, delay):
+    """Stiffness, damping and mass stand in every term of the loop: limits are soft or stiff as the device is light."""
+    limit = exact_stiffness(Device(0.1, 0.4), 0.1, T, delay)
+    scaled = exact_stiffness(Device(0.1 * share, 0.3 * share, hand_damping=0.1 * share), 0.1 * share, T, delay)
+    assert scaled == pytest.approx(share * limit, rel=1e-5)
+
+
+@pytest.mark.parametrize(("damping", "delay"), [(0.05, 0.1), (0.004, 5e-3), (0.5, 0.0)])
+def test_a_heavy_device_has_the_limit_of_small_dampings(damping, delay):
+    device = Device(10.0, damping)
+    assert exact_stiffness(device, 0.0, T, delay) == pytest.approx(linear_stiffness(device, 0.0, T, delay), rel=1e-3)
 
 
 def test_the_bound_of_passivity_is_that_of_the_condition_for_any_controller():
@@ -350,8 +388,6 @@ def test_the_command_maps_both_kinds(scene, tmp_path):
 
 
 def test_the_command_fails_where_the_automatic_choice_is_unstable(scene, tmp_path, monkeypatch):
-    from tissue_contact.scenarios import stability
-
     def blown(row: Row):
         return [stability_map.Cell(UNSTABLE, "energy_gain", 2.0, 1e-4 * (n + 1), 9) for n, _ in enumerate(row.along)]
 
@@ -364,28 +400,95 @@ def test_the_command_fails_where_the_automatic_choice_is_unstable(scene, tmp_pat
     assert worst["cells"][UNSTABLE] == 4 and worst["statuses"] == {"energy_gain": 4}
 
 
-def test_an_interrupted_map_goes_on_where_it_was(scene, tmp_path, monkeypatch):
-    from tissue_contact.scenarios import stability
-    from tissue_contact.scenarios.run import Interrupted
+def stiffening(scene: Path) -> Path:
+    """The scene, with springs that stiffen."""
+    scene.write_text(scene.read_text().replace("areal_density", "nonlinearity = 1.0\nareal_density"))
+    return scene
 
-    request = stability.MapRequest(
-        read_scene(scene), tmp_path / "out", grid=3, integrators=["symplectic_euler"], kinds=["one"]
-    )
+
+def test_projective_dynamics_is_left_out_where_it_does_not_know_the_forces(scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(stability, "try_row", lambda row: [stability_map.Cell(STABLE, "", 0.0, 1e-3, 1)] * 2)
+    request = stability.MapRequest(read_scene(stiffening(scene)), tmp_path / "out", grid=2, kinds=["one"])
+    assert stability.stability(request)
+    told = json.loads((request.output / "stability.json").read_text())
+    assert {m["integrator"] for m in told["maps"]} == set(INTEGRATORS) - {"projective_dynamics"}
+    assert "projective_dynamics is left out, for it does not know the nonlinearity of tissue" in capsys.readouterr().err
+
+
+def test_projective_dynamics_is_refused_by_the_option_that_asks_for_it(scene, tmp_path):
+    words = ["--integrator", "projective_dynamics", "--integrator", "implicit_euler"]
+    said = refused("stability", stiffening(scene), "-o", tmp_path / "out", *words, cwd=tmp_path)
+    assert said.startswith("tissue-contact: --integrator: ") and "nonlinearity of tissue" in said
+
+
+@pytest.fixture
+def interrupted_map(scene, tmp_path, monkeypatch) -> tuple[stability.MapRequest, list[float]]:
+    """A map of three rows that was interrupted in the second, and the stiffness of every row that was begun."""
     tried: list[float] = []
 
     def stopping(row: Row):
         tried.append(row.fixed["stiffness"])
         if len(tried) == 2:
             raise KeyboardInterrupt
-        return try_row(row)
+        return [stability_map.Cell(STABLE, "", 0.0, 1e-3, 1) for _ in row.along]
 
     monkeypatch.setattr(stability, "try_row", stopping)
+    request = stability.MapRequest(
+        read_scene(scene), tmp_path / "out", grid=3, integrators=["symplectic_euler"], kinds=["one"]
+    )
     with pytest.raises(Interrupted, match="the same command goes on there"):
         stability.stability(request)
-    assert [p.name for p in (tmp_path / "out").iterdir()] == [stability.KEPT]
+    assert [p.name for p in request.output.iterdir()] == [request.KEPT]
+    return request, tried
+
+
+def test_an_interrupted_map_goes_on_where_it_was(interrupted_map):
+    request, tried = interrupted_map
     assert stability.stability(request)
     assert len(tried) == 4 and len(set(tried)) == 3, "the first row is not done again"
-    assert not (tmp_path / "out" / stability.KEPT).exists()
+    assert not (request.output / request.KEPT).exists()
+
+
+def test_what_other_sources_have_finished_is_done_again(interrupted_map, monkeypatch):
+    request, tried = interrupted_map
+    monkeypatch.setattr("tissue_contact.__version__", "other")
+    assert stability.stability(request)
+    assert len(tried) == 5
+
+
+def test_a_loop_leaves_an_interrupted_map_in_its_folder(interrupted_map, monkeypatch):
+    request, tried = interrupted_map
+    monkeypatch.setattr(stability.widths, "z_width", lambda search: (search.low, search.high, ""))
+    assert stability.stability(stability.HapticRequest(request.scene, request.output, delays=[0.0], virtual=[0.0]))
+    assert stability.stability(request)
+    assert len(tried) == 4
+
+
+def test_an_interruption_tells_of_nothing_that_another_map_has_kept(interrupted_map, monkeypatch):
+    def stop(row: Row):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stability, "try_row", stop)
+    with pytest.raises(Interrupted, match="Nothing kept"):
+        stability.stability(replace(interrupted_map[0], x="density"))
+
+
+def test_what_cannot_be_written_is_kept(interrupted_map, monkeypatch):
+    request, tried = interrupted_map
+    errors = iter([KeyboardInterrupt, OSError])
+
+    def fail(path: Path, content: bytes):
+        raise next(errors)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(stability, "publish", fail)
+        with pytest.raises(Interrupted, match="the same command goes on there"):
+            stability.stability(request)
+        with pytest.raises(OSError):
+            stability.stability(request)
+    assert stability.stability(request)
+    assert len(tried) == 4
+    assert not (request.output / request.KEPT).exists()
 
 
 def test_the_command_closes_the_loop(scene, tmp_path):
@@ -396,6 +499,16 @@ def test_the_command_closes_the_loop(scene, tmp_path):
     rigid, tissue = csv.DictReader((out / "z-width.csv").open())
     assert float(rigid["borne [N/m]"]) < float(tissue["borne [N/m]"])
     assert "0 of 1 limits lie below the bound" in done.stdout
+
+
+def test_a_device_that_no_linear_loop_bears_is_told_of(scene, tmp_path, monkeypatch, capsys):
+    """Its virtual damping is more than the mass over a period."""
+    monkeypatch.setattr(stability.widths, "z_width", lambda search: (0.0, search.low, "energy_gain"))
+    request = stability.HapticRequest(read_scene(scene), tmp_path / "out", delays=[5e-3], virtual=[1e3])
+    assert stability.stability(request)
+    rows = csv.DictReader((request.output / "z-width.csv").read_text().splitlines())
+    assert [float(row["linear limit [N/m]"]) for row in rows] == [0.0, 0.0]
+    assert capsys.readouterr().out.count("the linear loop of this device is unstable at any stiffness") == 2
 
 
 @pytest.mark.parametrize(

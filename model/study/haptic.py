@@ -21,6 +21,7 @@ WINDOWS = 8  # of a run, whose swings must fall from each to the next but for th
 FALL = 0.998  # from window to window: what falls less ends in a limit cycle, what bounces at random rises at times
 LEAST_SWING = 1e-7  # [m] below it is none that a hand feels or an encoder sees
 QUANTA = 4.0  # swing in steps of the encoder that is no limit cycle: one step each way, and the damper's answer
+SCANNED = np.geomspace(1e-3, 1e2, 50)  # times `linear_stiffness`: where the limit of a linear loop is looked for
 
 
 class Device(NamedTuple):
@@ -117,12 +118,12 @@ def passive_stiffness(damping: float, virtual: float, period: float, delay: floa
     return max(0.0, (damping - abs(virtual)) / (0.5 * period + delay))
 
 
-def linear_stiffness(damping: float, virtual: float, period: float, delay: float) -> float:
+def linear_stiffness(device: Device, virtual: float, period: float, delay: float) -> float:
     """Stiffness [N/m] up to which this one loop is stable, about: K < (b + B)/(T/2 + t_d).
 
     Of Gil, Sánchez, Hulin, Preusche and Hirzinger (2009), for dampings that are small against the mass over the delay.
     """
-    return (damping + virtual) / (0.5 * period + delay)
+    return (device.damping + device.hand_damping + virtual) / (0.5 * period + delay)
 
 
 def loop_matrix(device: Device, stiffness: float, virtual: float, period: float, delay: float) -> Real:
@@ -143,15 +144,13 @@ def loop_matrix(device: Device, stiffness: float, virtual: float, period: float,
     return np.column_stack([following(unit) for unit in np.eye(size)])
 
 
-def exact_stiffness(
-    device: Device, virtual: float, period: float, delay: float, low: float = 1.0, high: float = 1e7
-) -> float:
+def exact_stiffness(device: Device, virtual: float, period: float, delay: float) -> float:
     """Least stiffness [N/m] at which the linear loop of this device is unstable, by its eigenvalues; 0 if always."""
 
     def bears(stiffness: float) -> bool:
         return bool(abs(np.linalg.eigvals(loop_matrix(device, stiffness, virtual, period, delay))).max() <= 1.0)
 
-    values = np.geomspace(low, high, 200)
+    values = linear_stiffness(device, virtual, period, delay) * SCANNED
     first = next((n for n, k in enumerate(values) if not bears(k)), None)
     if first is None:
         return math.inf

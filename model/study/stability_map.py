@@ -65,7 +65,8 @@ AXES = {
 class Bench:
     """A scene ready to be tried.
 
-    ``values`` are those of the scene on every axis; ``press`` goes ``depth`` [m] beyond the first touch.
+    ``values`` are those of the scene on every axis, or of the right size where it has none. ``press`` goes ``depth``
+    [m] beyond the first touch.
     """
 
     assembly: Assembly
@@ -99,7 +100,7 @@ class Row:
 def try_row(row: Row) -> list[Cell]:
     """All cells of a row."""
     work = try_automatic if row.automatic else try_scheme
-    return [work(row.bench, {**row.bench.values, **row.fixed, row.axis: value}) for value in row.along]
+    return [work(row.bench, {**row.fixed, row.axis: value}) for value in row.along]
 
 
 def judge(gains: Real) -> str:
@@ -116,9 +117,9 @@ def judge(gains: Real) -> str:
     return MARGINAL if most > FROM_NOWHERE else STABLE
 
 
-def try_scheme(bench: Bench, values: Mapping[str, float]) -> Cell:
+def try_scheme(bench: Bench, varied: Mapping[str, float]) -> Cell:
     """The limit of the scheme itself: random velocities of the tissue, one substep a step."""
-    instance, h = _instance(bench, values, 1), values["step"]
+    instance, h = _instance(bench, varied, 1), {**bench.values, **varied}["step"]
     instance.initialize()
     limit = instance.stable_substep(h)
     rng = np.random.default_rng(bench.seed)
@@ -139,27 +140,28 @@ def try_scheme(bench: Bench, values: Mapping[str, float]) -> Cell:
     return Cell(UNSTABLE if status else judge(gains), status, float(gains.max()), limit, 1)
 
 
-def try_automatic(bench: Bench, values: Mapping[str, float]) -> Cell:
+def try_automatic(bench: Bench, varied: Mapping[str, float]) -> Cell:
     """The choice of substeps: a press at constant speed, and a rest of the same time.
 
     A run that blows up or grows, though more substeps within the budget keep it stable, is unstable: the choice was
     wrong. Where no number of substeps helps, as with the chatter of triangle pairs, it is refused rightly, or gaining
     where every step was done.
     """
-    cell, code = _pressed(bench, values, 0)
+    cell, code = _pressed(bench, varied, 0)
     if code not in BLOWN_UP and cell.verdict != UNSTABLE:
         return cell
     most, budget = max(1, cell.substeps), int(bench.assembly.model.substeps_max[0])
     while most < budget:
         most = min(FINER * most, budget)
-        if _pressed(bench, values, most)[0].verdict == STABLE:
+        if _pressed(bench, varied, most)[0].verdict == STABLE:
             return cell._replace(verdict=UNSTABLE)
     return cell if code else cell._replace(verdict=GAINING)
 
 
-def _pressed(bench: Bench, values: Mapping[str, float], substeps: int) -> tuple[Cell, int]:
+def _pressed(bench: Bench, varied: Mapping[str, float], substeps: int) -> tuple[Cell, int]:
     """Cell of a press, and the code of the status that ended it."""
-    instance, h, start = _instance(bench, values, substeps), values["step"], bench.assembly.inputs
+    instance, values, start = _instance(bench, varied, substeps), {**bench.values, **varied}, bench.assembly.inputs
+    h = values["step"]
     begin = -0.1 * bench.depth
     way = bench.depth - begin
     gained: list[float] = []
@@ -185,20 +187,21 @@ def _pressed(bench: Bench, values: Mapping[str, float], substeps: int) -> tuple[
     return Cell(judge(gains), "", float(gains.max()), limit, most), 0
 
 
-def _instance(bench: Bench, values: Mapping[str, float], substeps: int) -> Instance:
-    """The scene with the values of a cell."""
+def _instance(bench: Bench, varied: Mapping[str, float], substeps: int) -> Instance:
+    """The scene with the values of a cell on the axes that are varied; all else is its own."""
+    own, values = bench.values, {**bench.values, **varied}
     model = bench.assembly.model._replace(
         substeps_fixed=np.array([substeps], np.uint32), detection_period=np.array([values["detection_period"]])
     )
     instance = Instance(replace(bench.assembly, model=model))
-    own, tissues = bench.values, TISSUE_PARAMETERS * model.tissue_rate.size
+    tissues = TISSUE_PARAMETERS * model.tissue_rate.size
     tissue = instance.parameters[:tissues].reshape(-1, TISSUE_PARAMETERS)
     tissue[:, STIFFNESS_SCALE] *= values["stiffness"] / own["stiffness"]
-    if values["damping"] != own["damping"]:
-        tissue[:, DAMPING_SCALE] = values["damping"] / own["damping"]
+    if "damping" in varied:
+        tissue[:, DAMPING_SCALE] = varied["damping"] / own["damping"]
     for name, slot in (("density", AREAL_DENSITY), ("support_damping", SUPPORT_DAMPING)):
-        if values[name] != own[name]:
-            tissue[:, slot] = values[name]
+        if name in varied:
+            tissue[:, slot] = varied[name]
     contacts = instance.parameters[tissues : tissues + CONTACT_PARAMETERS * model.contact_tissue.size]
     contacts.reshape(-1, CONTACT_PARAMETERS)[:, CONTACT_STIFFNESS] *= (
         values["contact_stiffness"] / own["contact_stiffness"]
