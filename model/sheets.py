@@ -29,7 +29,7 @@ class Sheet(NamedTuple):
     triangle_area: FloatArray  # [m²], shape [T]
     triangle_edges: FloatArray  # [m²], shape [T]
     area_rate: float
-    volume: float  # [m³], 1 where it is not resisted
+    volume: float  # [m³], negative where triangles face inward; 1 where it is not resisted
     volume_rate: float
     volume_bend: float
     point_start: IntArray  # shape [T + 1]
@@ -92,7 +92,7 @@ def area_rate(area: FloatArray, edges: FloatArray) -> float:
 def _volume(
     tissue: Tissue, surface: Surface, area: FloatArray, free: FloatArray, place: str
 ) -> tuple[float, float, float]:
-    """Volume at rest, and bounds of the eigenvalues of E = (V - V0)²/(2 V0) and of V itself over the vertex areas."""
+    """Volume at rest, and bounds of the eigenvalues of E = (V - V0)²/(2 |V0|) and of V itself over the vertex areas."""
     if tissue.volume_stiffness == 0.0:
         return 1.0, 0.0, 0.0
     report = geometry.inspect(surface)
@@ -107,7 +107,7 @@ def _volume(
     gradient = np.zeros_like(surface.vertices)
     np.add.at(gradient, surface.triangles, normals[:, None])
     volume = geometry.volume(surface)
-    rate = float(((gradient**2).sum(axis=1) * free / area).sum()) / volume
+    rate = float(((gradient**2).sum(axis=1) * free / area).sum()) / abs(volume)
     # d²V/dx_i dx_j is a sixth of the cross product with the way between the two corners opposite to the edge i j, which
     # is no longer than the ways over j: the edges opposite to i, once for each of the two edges at i.
     opposite = np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, -2, axis=1), axis=2)

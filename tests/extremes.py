@@ -484,7 +484,7 @@ class Player:
         self.instance, self.watch = Instance(assembly), Watch(assembly, case)
         self.case, self.calls, self.kept = case, [], []
         self.given = {v.slot: v for v in assembly.variables if v.block == "parameters"}
-        self.flat_way, self.refreshed = -1.0, False
+        self.flat_way = -1.0
 
     def play(self) -> collections.Counter:
         """Make the calls; what came of them."""
@@ -607,9 +607,7 @@ class Player:
         elif what == "initialize":
             self.watch.check(instance, instance.outputs, False)
         elif h > 0.0:
-            self.watch.check(instance, outputs, True, self.refreshed or tuned.tobytes() != parameters.tobytes())
-        if outcome == "done":
-            self.refreshed = what == "step" and h == 0.0  # the outputs are those of the parameters set now
+            self.watch.check(instance, outputs, True, tuned.tobytes() != parameters.tobytes())
         return outcome
 
     def note(self, what: str, h: float, outcome: str) -> None:

@@ -681,6 +681,16 @@ def test_a_changed_parameter_puts_energy_in_and_takes_none_out(factor):
     assert instance.state.put_in[0] - put_in == pytest.approx(max(0.0, springs * (1.0 - 1.0 / factor)), rel=1e-6)
 
 
+def test_a_step_of_0_tells_a_changed_parameter_from_energy_that_came_from_nowhere():
+    instance = instance_of(height=-0.001, tissue="support_stiffness = 1e5\npreload = 0.1", solver="max_substeps = 5000")
+    balance, springs = (index(instance._assembly, f"energy.{what}") for what in ("balance", "elastic"))
+    before = instance.outputs[springs]
+    instance.parameters[slots.STIFFNESS_SCALE] = 2.0
+    instance.step(0.0)
+    assert instance.outputs[springs] > 1.5 * before > 0.0
+    assert abs(instance.outputs[balance]) < 1e-12 * before  # rounding
+
+
 def test_what_falls_by_its_weight_is_no_gain():
     """Without damping the energy of a swinging tissue swings itself, and nothing but the weight has put it in."""
     instance = instance_of(

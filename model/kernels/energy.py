@@ -46,7 +46,7 @@ def tissue_energies(model, parameters, state):
         k = parameters[own + VOLUME_STIFFNESS]
         if k > 0.0:
             strain = volume_pressure(model, parameters, state, n) / k
-            elastic += 0.5 * k * model.tissue_volume[n] * strain * strain
+            elastic += 0.5 * k * abs(model.tissue_volume[n]) * strain * strain
         speed, place = 0.0, 0.0  # [m² (m/s)²] and [m⁴], squares times areas
         first, last = model.tissue_vertex_start[n], model.tissue_vertex_start[n + 1]
         for v in range(first, last):

@@ -159,7 +159,7 @@ def tissue_forces(model, parameters, state, scratch):
 
 @inner
 def volume_pressure(model, parameters, state, tissue):
-    """Pressure [Pa] within a closed organ, -k (V - V0)/V0."""
+    """Pressure [Pa] within a closed organ, -k (V - V0)/|V0|."""
     volume = enclosed_volume(
         model.tissue_triangle_start[tissue],
         model.tissue_triangle_start[tissue + 1],
@@ -171,7 +171,8 @@ def volume_pressure(model, parameters, state, tissue):
         state.z,
     )
     k = parameters[TISSUE_PARAMETERS * tissue + VOLUME_STIFFNESS]
-    return -k * (volume / model.tissue_volume[tissue] - 1.0)
+    rest = model.tissue_volume[tissue]
+    return -k * (volume - rest) / abs(rest)
 
 
 @inner

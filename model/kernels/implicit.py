@@ -116,7 +116,7 @@ def _stiffness_product(model, parameters, state, scratch, tissue, n, factor, p, 
         for axis in range(3):
             for v in range(axis * n + first, axis * n + last):
                 f += g[v] * p[v]
-        f *= factor * k / model.tissue_volume[tissue]
+        f *= factor * k / abs(model.tissue_volume[tissue])
         for axis in range(3):
             for v in range(axis * n + first, axis * n + last):
                 q[v] += f * g[v]

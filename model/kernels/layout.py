@@ -112,7 +112,7 @@ class Model(NamedTuple):
     tissue_area_rate: Real  # [1/m²], shape [n], the same of the area's resistance, for a stiffness of 1 N/m
     tissue_volume_rate: Real  # [1/m], shape [n], the same of the volume's resistance, for a stiffness of 1 Pa
     tissue_volume_bend: Real  # [1/m], shape [n], the same of a pressure within of 1 Pa
-    tissue_volume: Real  # [m³], shape [n], at rest; 1 where it is not resisted
+    tissue_volume: Real  # [m³], shape [n], at rest, negative where triangles face inward; 1 where it is not resisted
     tissue_node_area_min: Real  # [m²], shape [n], smallest node_area of a free vertex
     point_a: Real  # [1], shape [N], areal coordinates of the points at which fields are read
     point_b: Real  # [1], shape [N]

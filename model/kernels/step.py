@@ -445,7 +445,7 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
         Changed in place; after a status other than `OK` it is not to be used, the caller keeps a copy.
     h : float
         Step [s]. The instruments move evenly from their poses at the last communication point to those of
-        ``inputs``. 0 refreshes the outputs and leaves the state as it is.
+        ``inputs``. 0 refreshes the outputs and moves nothing.
     scratch : Scratch
 
     Returns
@@ -461,11 +461,11 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
     if not (h == 0.0 or STEP_MIN <= h <= STEP_MAX):
         scratch.detail[0], scratch.detail[1] = h, STEP_MAX
         return STEP_SIZE
+    _tune(model, parameters, state, scratch, outputs)
     if h == 0.0:
         give(model, parameters, state, scratch, 0.0, 0.0, 0, outputs)
-        return OK
+        return _check_outputs(outputs, scratch)
     balance = BODY_OUTPUTS * (state.pose.size // POSE) + ENERGY_BALANCE
-    _tune(model, parameters, state, scratch, outputs)
     before, work = state.work[0] - state.dissipated[0] - (state.stored[0] - state.energy_start[0]), state.work[0]
     dissipated, weight = state.dissipated[0], weight_energy(model, parameters, state)
     _work_jaws(model, parameters, state, scratch, inputs)
