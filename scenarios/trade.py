@@ -318,10 +318,10 @@ class _Search:
         for source in sources:  # a scene that cannot be is told before the long runs
             parse_scene(source, scene.folder, f"{scene.place}, made finer")
         wanted = [(option,) for option in options[: request.runs - 1]]
-        if left := options[request.runs - 1 :]:
+        if untried := options[request.runs - 1 :]:
             self.remarks.append(
-                f"Stopped at {request.runs} runs with {len(left)} single changes untried, of "
-                f"{', '.join(dict.fromkeys(o.lever for o in left))}: --runs {len(options) + 1} tries every one."
+                f"Stopped at {request.runs} runs with {len(untried)} single changes untried, of "
+                f"{', '.join(dict.fromkeys(o.lever for o in untried))}: --runs {len(options) + 1} tries every one."
             )
         finer, finest = (replace(self._own, source=source) for source in sources)
         jobs = [finest, finer, *map(self.job, wanted)]  # the longest first
