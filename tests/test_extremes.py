@@ -22,7 +22,7 @@ from tissue_contact.kernels.symplectic import symplectic_euler
 from tissue_contact.scene import parse_scene
 from tissue_contact.simulate import Instance
 
-SEEDS, BLOCKS = 500, 5
+SEEDS, BLOCKS = 300, 3
 SCENE = """
     [solver]
     {solver}
