@@ -18,6 +18,7 @@ from fmpy.model_description import read_model_description
 from fmu_fixture import GAIN, KERNELS, PLATFORM, POSITION, PULL, VARIABLES, tiny_assembly, tiny_fmu
 from lxml import etree
 
+from tissue_contact import status
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.fmu import archive, compile, description, entry, machine_code, model_bin
 from tissue_contact.fmu.build import build
@@ -221,6 +222,14 @@ def test_kernel_source_is_part_of_the_cache_key(tmp_path):
     with_law = compile.library_hash(copy)
     copy.write_bytes(KERNELS.read_bytes() + b"\n")
     assert len({before, with_law, compile.library_hash(copy)}) == 3
+
+
+def test_status_codes_are_part_of_the_cache_key(tmp_path, monkeypatch):
+    before = compile.kernels_hash(KERNELS)
+    changed = tmp_path / "status.py"
+    changed.write_bytes(Path(status.__file__).read_bytes() + b"\n")
+    monkeypatch.setattr(status, "__file__", str(changed))
+    assert compile.kernels_hash(KERNELS) != before
 
 
 # --- what stops it ------------------------------------------------------------------------------------------
@@ -482,8 +491,6 @@ def test_licences(everywhere):
 
 
 def test_layout_hash_follows_the_status_table(monkeypatch):
-    from tissue_contact import status
-
     before = entry.layout_hash()
     changed = (*status.STATUSES[:-1], status.STATUSES[-1]._replace(discard=not status.STATUSES[-1].discard))
     monkeypatch.setattr(status, "STATUSES", changed)
@@ -492,8 +499,6 @@ def test_layout_hash_follows_the_status_table(monkeypatch):
 
 @pytest.mark.parametrize("message", ["only one %g", "%g %g %g", "%g %s", "100% of %g %g"])
 def test_status_message_must_be_a_safe_format(monkeypatch, message):
-    from tissue_contact import status
-
     monkeypatch.setattr(status, "STATUSES", (status.STATUSES[0]._replace(message=message),))
     with pytest.raises(WorkError, match="exactly two %g"):
         compile.header()
