@@ -132,6 +132,9 @@ def edit(name, old, new):
         ),
         (lambda c: c.update({"binaries/linux32/tiny.so": c["binaries/linux64/tiny.so"]}), "no such platform"),
         (lambda c: c.update({"binaries/linux64/tiny.so": b"nonsense"}), "no shared library"),
+        (lambda c: c.update({"binaries/linux64/tiny.so": b"\x7fELF" + bytes(28) + b"\xff" * 64}), "cannot be read"),
+        (lambda c: c.update({"resources/model.bin": c["resources/model.bin"] + b"0"}), "damaged"),
+        (edit("modelDescription.xml", b'Unit name="N/m"', b'Unit nam="N/m"'), "unknown factor"),
         (lambda c: [c.pop(n) for n in list(c) if n.startswith("binaries/")], "no binary"),
         (edit("binaries/linux64/tiny.so", b"fmi2SetTime\0", b"fmi2SatTime\0"), "exports fmi2SatTime"),
         (edit("binaries/win64/tiny.dll", b"fmi2SetTime\0", b"fmi2SatTime\0"), "lacks fmi2SetTime"),
@@ -143,10 +146,33 @@ def test_check_finds(everywhere, tmp_path, change, finding):
     assert any(finding in f for f in findings), findings
 
 
-def test_check_needs_a_zip(tmp_path):
-    (tmp_path / "x.fmu").write_bytes(b"nothing")
-    with pytest.raises(InputError, match="must be a zip"):
-        check(tmp_path / "x.fmu")
+# What of resources/model.bin is overwritten: where in its local entry, where in the central directory, and by what.
+UNREADABLE = {
+    "Bad CRC-32": (14, 16, b"\1\2\3\4"),
+    "encrypted": (6, 8, b"\1"),
+    "compression": (8, 10, b"\x61"),
+    "invalid block type": (30 + len("resources/model.bin"), None, b"\xff"),
+}
+
+
+@pytest.mark.parametrize("finding", UNREADABLE)
+def test_check_finds_what_cannot_be_read(fmu_path, tmp_path, finding):
+    name, content = b"resources/model.bin", bytearray(fmu_path.read_bytes())
+    local, central, new = UNREADABLE[finding]
+    for start, at in ((content.find(name) - 30, local), (content.rfind(name) - 46, central)):
+        if at is not None:
+            content[start + at : start + at + len(new)] = new
+    (tmp_path / "x.fmu").write_bytes(content)
+    told = check(tmp_path / "x.fmu")
+    assert re.search(f"zip: resources/model.bin cannot be read: .*{finding}", "\n".join(told)), told
+
+
+def test_check_needs_a_zip(fmu_path, tmp_path):
+    content = fmu_path.read_bytes()
+    for wrong in (b"nothing", content.replace(b"PK\1\2", b"PK\3\3")):
+        (tmp_path / "x.fmu").write_bytes(wrong)
+        with pytest.raises(InputError, match=r"must be a zip file; found .*x\.fmu"):
+            check(tmp_path / "x.fmu")
 
 
 @pytest.mark.parametrize("platform", compile.ALL)
