@@ -16,7 +16,7 @@ from tissue_contact import simulate
 from tissue_contact.assemble import INTEGRATORS
 from tissue_contact.errors import InputError
 from tissue_contact.kernels.slots import AREAL_DENSITY, SUPPORT_DAMPING, TISSUE_PARAMETERS
-from tissue_contact.pool import in_line, pool
+from tissue_contact.pool import Kept, in_line, pool
 from tissue_contact.scenarios import stability
 from tissue_contact.scenarios.run import Interrupted
 from tissue_contact.scene import read_scene
@@ -447,6 +447,17 @@ def test_an_interrupted_map_goes_on_where_it_was(interrupted_map):
     assert stability.stability(request)
     assert len(tried) == 4 and len(set(tried)) == 3, "the first row is not done again"
     assert not (request.output / request.KEPT).exists()
+
+
+def test_nothing_counts_as_kept_before_it_is_in_the_file(tmp_path, monkeypatch):
+    def interrupted(path: Path, content: bytes) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tissue_contact.pool.publish", interrupted)
+    kept = Kept(tmp_path / "kept.json", "problem")
+    with pytest.raises(KeyboardInterrupt):
+        kept.spread(in_line, str, [1, 2], ["a", "b"], lambda: None)
+    assert kept.done == {}
 
 
 def test_what_other_sources_have_finished_is_done_again(interrupted_map, monkeypatch):
