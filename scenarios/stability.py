@@ -122,6 +122,8 @@ def stability(request: MapRequest | HapticRequest) -> bool:
         By the user; what is finished is kept, and the same command goes on there.
     """
     console = Console(stderr=True)
+    for remark in request.scene.remarks:
+        console.print(remark, highlight=False, markup=False, soft_wrap=True)
     problem = problem_of(scene_key(request.scene), replace(request, workers=1, scheduler=None, progress=True))
     kept = Kept(request.output / request.KEPT, problem)
     try:
