@@ -415,6 +415,22 @@ def test_projective_dynamics_is_left_out_where_it_does_not_know_the_forces(scene
     assert "projective_dynamics is left out, for it does not know the nonlinearity of tissue" in capsys.readouterr().err
 
 
+def test_a_preset_that_is_replaced_and_dampings_that_the_scene_has_not_are_told(scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(stability, "try_row", lambda row: [stability_map.Cell(STABLE, "", 0.0, 1e-3, 1)] * 2)
+    text = stiffening(scene).read_text().replace("support_damping = 2000.0", "")
+    scene.write_text(text.replace("[solver]", '[solver]\npreset = "fast"'))
+    asked = {"x": "damping", "y": "support_damping", "grid": 2, "kinds": ["one"], "integrators": ["symplectic_euler"]}
+    request = stability.MapRequest(read_scene(scene), tmp_path / "out", **asked)
+    assert stability.stability(request)
+    assert f"{request.scene.remarks[0]}\n" in capsys.readouterr().err
+    values = json.loads((request.output / "stability.json").read_text())["values"]
+    assert values["damping"] == values["support_damping"] == 0.0 < values["density"]
+    row = next(csv.DictReader((request.output / "stability.csv").open()))
+    assert float(row["damping [N.s/m]"]) > 0.0 < float(row["support_damping [N.s/m3]"])
+    with pytest.raises(InputError, match=r"The scene has 0\."):
+        stability.stability(replace(request, x_range=(1.0, 0.5)))
+
+
 def test_projective_dynamics_is_refused_by_the_option_that_asks_for_it(scene, tmp_path):
     words = ["--integrator", "projective_dynamics", "--integrator", "implicit_euler"]
     said = refused("stability", stiffening(scene), "-o", tmp_path / "out", *words, cwd=tmp_path)
