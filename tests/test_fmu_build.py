@@ -10,6 +10,7 @@ import sys
 import time
 import zipfile
 from pathlib import Path
+from typing import get_args
 
 import fmpy
 import numpy as np
@@ -18,14 +19,16 @@ from fmpy.model_description import read_model_description
 from fmu_fixture import GAIN, KERNELS, PLATFORM, POSITION, PULL, VARIABLES, tiny_assembly, tiny_fmu
 from lxml import etree
 
-from tissue_contact import status
+from tissue_contact import scenarios, status
+from tissue_contact.assemble import INTEGRATORS
 from tissue_contact.errors import InputError, WorkError
-from tissue_contact.fmu import archive, compile, description, entry, machine_code, model_bin
+from tissue_contact.fmu import archive, compile, description, documentation, entry, machine_code, model_bin
 from tissue_contact.fmu.build import build
 from tissue_contact.fmu.check import check, fmi_functions
 from tissue_contact.fmu.exports import exported
 from tissue_contact.fmu.units import base_unit
 from tissue_contact.kernels.bundle import Bundle
+from tissue_contact.scene import Response
 from tissue_contact.variables import Variable
 
 PNG = bytes.fromhex(
@@ -504,6 +507,83 @@ def test_documentation_names_every_variable(everywhere):
         .replace('<meta charset="utf-8">', "")
         .replace('<img src="model.png" alt="tiny">', "")
     )
+
+
+SHEET = """
+name = "sheet"
+[solver]
+{solver}
+[[tissue]]
+name = "liver"
+shape = {{ kind = "patch", size = [0.02, 0.02], triangles = 60 }}
+areal_density = 1.0
+stiffness = 100.0
+{tissue}
+[[instrument]]
+shape = {{ kind = "sphere", radius = 0.003, triangles = 128 }}
+[[contact]]
+name = "touch"
+{contact}
+"""
+FIELD, WHOLE = "stiffness_per_area = 1e7", "stiffness = 500.0"
+HUNT = f'law = "hunt_crossley"\n{FIELD}'
+EFFECTS = {
+    "bending_stiffness": "opposite an edge", "preload": "shorter than meshed", "nonlinearity": "β e²",
+    "damping": "d_ij", "area_stiffness": "k_A", "volume_stiffness": "k_V", "support_stiffness": "k_s",
+    "support_damping": "c_s", "drag": "c_d",
+}  # fmt: skip
+DEPTHS = {
+    "distance_field": "signed distance", "hull": "convex hull", "kdop": "k-DOP", "oobb": "corners of the object-orient",
+    "oobb_literal": "|D·u|", "primitive": "body&#x27;s triangles",
+}  # fmt: skip
+LAWS = {"kelvin_voigt": "k δ + c dδ/dt", "hunt_crossley": "(δ/1 m)ⁿ⁻¹"}
+SCHEMES = {
+    "symplectic_euler": "M v′ = M v*", "explicit_euler": "x′ = x + dt v<", "implicit_euler": "Newton",
+    "runge_kutta_4": "four evaluations", "projective_dynamics": "one constant matrix",
+}  # fmt: skip
+OTHERS = {"region": "share it", "pair": "every pair", "friction": "friction of", "limit": "moves fast", "g": "mᵢ g",
+          "fixed": "A fixed number", "automatic": "As many"}  # fmt: skip
+TOLD = EFFECTS | DEPTHS | LAWS | SCHEMES | OTHERS
+USUAL = {"distance_field", "kelvin_voigt", "projective_dynamics", "limit", "automatic"}
+
+
+def page_of(**keys):
+    """Documentation of the sheet."""
+    text = SHEET.format(**{"solver": "", "tissue": "", "contact": FIELD} | keys)
+    return documentation.page(tiny_assembly(source=text.encode()), picture=False)
+
+
+@pytest.mark.parametrize(
+    ("keys", "has"),
+    [
+        ({}, USUAL),
+        *(({"tissue": f"{key} = 0.5", "solver": 'preset = "accurate"'},
+           {"distance_field", "kelvin_voigt", "symplectic_euler", "automatic", key}) for key in EFFECTS),
+        *(({"contact": f'response = "{r}"\n{WHOLE}'}, {*USUAL - {"distance_field"}, r, "region"})
+          for r in get_args(Response) if r != "distance_field"),
+        ({"contact": f'response = "hull"\npair_weight = "none"\n{WHOLE}'},
+         {*USUAL - {"distance_field"}, "hull", "pair"}),
+        ({"contact": f"{HUNT}\nfriction = 0.3"}, {*USUAL - {"kelvin_voigt"}, "hunt_crossley", "friction"}),
+        *(({"solver": f'integrator = "{i}"\nsubsteps = 2\ngravity = [0, 0, -9.81]'},
+           {"distance_field", "kelvin_voigt", i, "fixed", "g"}) for i in INTEGRATORS),
+    ],
+)  # fmt: skip
+def test_documentation_has_the_equations_of_its_scene_and_no_others(keys, has):
+    page = page_of(**keys)
+    assert {name for name, words in TOLD.items() if words in page} == has
+
+
+def test_documentation_names_what_an_equation_holds_for():
+    page = page_of(tissue="drag = 10.0")
+    assert "<b>liver</b>: Drag" in page and "<b>touch</b>: Law of Kelvin" in page
+    assert "takes effect at once in the next step" in page
+
+
+def test_documentation_of_bodies_alone_knows_no_tissue():
+    clash = Path(scenarios.__file__).parent / "clash" / "scene.toml"
+    page = documentation.page(tiny_assembly(source=clash.read_bytes()), picture=False)
+    assert "points of one body" in page and "Hunt" in page and "friction of" in page
+    assert not re.search("tissue|<h3>Time", page[page.index("<h2>Model") : page.index("<h2>Use")])
 
 
 def test_licences(everywhere):
