@@ -32,11 +32,15 @@ def check(path: Path) -> list[str]:
         There is no such file, or it is no zip.
     """
     path = Path(path)
-    if not zipfile.is_zipfile(path):
-        raise InputError("fmu", "must be a zip file", path, "Build it again")
-    with zipfile.ZipFile(path) as archive:
-        findings = _zip(archive)
-        content = {info.filename: archive.read(info) for info in archive.infolist()}
+    try:
+        with zipfile.ZipFile(path) as archive:
+            findings = _zip(archive)
+            content, unreadable = _content(archive)
+    except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
+        raise InputError("fmu", "must be a zip file", f"{path}: {error}", "Build it again") from error
+    findings += unreadable
+    if unreadable:
+        return findings
     findings += [f"fmpy: {finding}" for finding in validate_fmu(str(path))]
     findings += _toolbox(path)
     if "modelDescription.xml" not in content:
@@ -63,12 +67,20 @@ def _zip(archive: zipfile.ZipFile) -> list[str]:
             findings.append(f"zip: {name!r} is no portable relative path")
         if info.compress_type not in (zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED):
             findings.append(f"zip: {name} is not compressed by deflate, the only method that every importer reads")
-        if info.flag_bits & 1:
-            findings.append(f"zip: {name} is encrypted")
         if names.count(name) > 1:
             findings.append(f"zip: {name} is there more than once")
-    broken = archive.testzip()
-    return findings if broken is None else [*findings, f"zip: {broken} is damaged"]
+    return findings
+
+
+def _content(archive: zipfile.ZipFile) -> tuple[dict[str, bytes], list[str]]:
+    """Bytes of every entry that can be read, and a finding on every other."""
+    content, findings = {}, []
+    for info in archive.infolist():
+        try:
+            content[info.filename] = archive.read(info)
+        except Exception as error:  # zipfile tells damage, encryption and other methods by many kinds
+            findings.append(f"zip: {info.orig_filename} cannot be read: {error!r}")
+    return content, findings
 
 
 def _toolbox(path: Path) -> list[str]:
@@ -96,7 +108,7 @@ def _toolbox(path: Path) -> list[str]:
 
 def _units(root: etree._Element) -> list[str]:
     findings = []
-    defined = {unit.get("name"): unit.find("BaseUnit") for unit in root.iter("Unit")}
+    defined = {unit.get("name", ""): unit.find("BaseUnit") for unit in root.iter("Unit")}
     for variable in root.iter("ScalarVariable"):
         real = variable.find("Real")
         unit = None if real is None else real.get("unit")
@@ -122,7 +134,7 @@ def _guid(content: dict[str, bytes], guid: str) -> list[str]:
     inside = model[32:96].rstrip(b"\0").decode("ascii", "replace")
     if inside != guid:
         return [f"the guid of modelDescription.xml is {guid} and that of resources/model.bin is {inside}"]
-    if model_bin.seal(model) != model:
+    if len(model) % 8 or model_bin.seal(model) != model:
         return ["resources/model.bin is damaged: its size or checksum differs"]
     blank = model_bin.seal(model[:32] + bytes(64) + model[96:])
     description = content["modelDescription.xml"].replace(f'guid="{guid}"'.encode(), b'guid=""', 1)
@@ -146,7 +158,7 @@ def _binaries(content: dict[str, bytes], identifier: str) -> list[str]:
             findings.append(f"{path} must be called {identifier}{target.suffix}, after the modelIdentifier")
         try:
             names = exported(content[str(path)])
-        except (WorkError, struct.error, ValueError, IndexError) as error:
+        except (WorkError, struct.error, ValueError, IndexError, OverflowError) as error:
             findings.append(f"{path} cannot be read: {error}")
             continue
         if missing := sorted(functions - names):

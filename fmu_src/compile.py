@@ -80,11 +80,15 @@ def _versions(*packages: str) -> list[str]:
 
 
 def kernels_hash(kernels: Path) -> str:
-    """Hash of all that decides the IR of the kernels. Every Python file beside ``kernels`` counts, and the layout's."""
+    """Hash of all that decides the IR of the kernels.
+
+    Every Python file beside ``kernels`` counts, those beside the layout, and the status codes, constants in the IR.
+    """
     beside, layout = kernels.parent.glob("*.py"), STEP_KERNELS.parent.glob("*.py")
     sources = {
         *beside,
         *layout,
+        Path(status.__file__),
         *(Path(__file__).with_name(f"{name}.py") for name in ("compile", "entry", "machine_code")),
     }
     return cache.digest(sources, kernels.name, entry.source(), *_versions("numba", "llvmlite", "numpy"))

@@ -11,6 +11,8 @@ from tissue_contact.assembly import Assembly
 from tissue_contact.errors import WorkError
 from tissue_contact.fmu.compile import FMI_HEADERS
 from tissue_contact.fmu.description import generation_tool, number
+from tissue_contact.fmu.equations import equations
+from tissue_contact.scene import parse_scene
 from tissue_contact.variables import CAUSALITY, Block
 
 _STYLE = """
@@ -22,36 +24,10 @@ img { max-width: 100%; }
 code { font-size: 0.9em; }
 """
 
-_MODEL = """
-<h2>Model</h2>
-<p>A tissue is a surface of springs, dampers and point masses. Vertex <i>i</i> with area <i>A<sub>i</sub></i>
-(a third of its triangles) and mass <i>m<sub>i</sub></i> (area times density) moves by</p>
-<p class="equation">
-<i>m<sub>i</sub></i> d<b>v</b><sub><i>i</i></sub>/d<i>t</i> =
-Σ<sub><i>j</i></sub> <b>f</b><sub><i>ij</i></sub>
-− <i>A<sub>i</sub></i> (<i>k</i><sub>s</sub> (<b>x</b><sub><i>i</i></sub> − <b>x</b><sub><i>i</i>,0</sub>)
-+ <i>c</i><sub>s</sub> <b>v</b><sub><i>i</i></sub>)
-+ <b>f</b><sub><i>i</i>,contact</sub> + <i>m<sub>i</sub></i> <b>g</b>
-</p>
-<p>with springs of stiffness <i>k<sub>ij</sub></i> and damping <i>d<sub>ij</sub></i> along the unit vector
-<b>û</b> from <i>i</i> to <i>j</i>, and an elastic support under the surface, <i>k</i><sub>s</sub> and
-<i>c</i><sub>s</sub> per area:</p>
-<p class="equation">
-<b>f</b><sub><i>ij</i></sub> = [ <i>k<sub>ij</sub></i>
-(|<b>x</b><sub><i>j</i></sub> − <b>x</b><sub><i>i</i></sub>| − <i>l<sub>ij</sub></i>)
-+ <i>d<sub>ij</sub></i> (<b>v</b><sub><i>j</i></sub> − <b>v</b><sub><i>i</i></sub>)·<b>û</b> ] <b>û</b>
-</p>
-<p>The instrument is rigid and follows its inputs. Where its triangles pierce those of the tissue, the depth
-<i>δ</i> ≥ 0 of the piercing convex part along the tissue's inner normal <b>n</b> gives a penalty force on the
-tissue, and the opposite one on the instrument at the same point:</p>
-<p class="equation"><b>F</b> = max(0, <i>k δ</i> + <i>c</i> d<i>δ</i>/d<i>t</i>) <b>n</b></p>
-<p><i>k</i> and <i>c</i> belong to a whole contact region: pairs of triangles that touch each other share one
-force by the length of the curve in which they meet.
-Time is advanced by symplectic Euler with implicit damping, in as many substeps
-as stability asks for.</p>
+_USE = """
 <h2>Use</h2>
 <p>Over a communication step the pose goes from the one of the last communication point to the one set now.
-Parameters take effect at the next communication point. A call that returns an error leaves the instance as it
+A parameter that is set takes effect at once in the next step. A call that returns an error leaves the instance as it
 was, and the log says what to do. After fmi2Discard the state from before the step stands: take a smaller
 step. The exact scene is <code>resources/scene.toml</code>.</p>
 """
@@ -75,13 +51,14 @@ def _table(assembly: Assembly, block: Block) -> str:
 
 def page(assembly: Assembly, picture: bool) -> str:
     """The HTML page, in English, complete in itself but for the picture beside it."""
+    scene = parse_scene(assembly.source, Path())
     name = html.escape(assembly.name)
     tables = "".join(_table(assembly, block) for block in ("inputs", "outputs", "parameters"))
     image = f'<p><img src="model.png" alt="{name}"></p>\n' if picture else ""
     return (
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{name}</title>\n'
         f"<style>{_STYLE}</style>\n</head>\n<body>\n<h1>{name}</h1>\n<p>{html.escape(assembly.description)}</p>\n"
-        f"{image}{_MODEL}<h2>Variables</h2>\n{tables}"
+        f"{image}<h2>Model</h2>\n{equations(scene)}{_USE}<h2>Variables</h2>\n{tables}"
         f'<p>Made by {html.escape(generation_tool())}. <a href="licenses/license.txt">Licences</a>.</p>\n'
         "</body>\n</html>\n"
     )

@@ -3,6 +3,7 @@
 Some come only after the scene or scenario is read, so that what is wrong there is told at once as well.
 """
 
+import errno
 import functools
 import json
 from collections.abc import Callable
@@ -55,6 +56,11 @@ def _command(example: str) -> Callable[[Callable[..., None]], Callable[..., None
                 _fail(str(error), 2)
             except TissueContactError as error:
                 _fail(str(error), 1)
+            except OSError as error:
+                if error.errno in (None, errno.EPIPE):  # of a cluster; of a reader that has gone, as click knows
+                    raise
+                place, rule = str(error.filename or "a file"), "it must be possible to read or write it"
+                _fail(str(InputError(place, rule, error.strerror, "Give another path, or make room")), 2)
             except KeyboardInterrupt as error:
                 _fail(str(error) or "interrupted", 130)
 

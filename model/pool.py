@@ -115,8 +115,9 @@ class Kept:
             on_done()
 
         def keep(n: int, result: Any) -> None:
-            self.done[keys[open_[n]]] = result
-            publish(self.path, json.dumps({"problem": self._problem, "done": self.done}).encode())
+            done = {**self.done, keys[open_[n]]: result}
+            publish(self.path, json.dumps({"problem": self._problem, "done": done}).encode())
+            self.done = done  # what is interrupted before is not kept
             on_done()
 
         spread(work, [tasks[n] for n in open_], keep)

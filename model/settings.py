@@ -205,10 +205,13 @@ def _rule(kind: str, told: dict[str, Any], node: Schema) -> str:
         return f"the value must be a whole number{between}"
     if kind == "tuple_type" and "$ref" in node.get("items", {}):
         return "the table must be written in double brackets, [[…]], because there may be several"
-    if kind in ("too_short", "too_long"):
-        least, most = node.get("minItems"), node.get("maxItems")
-        return f"the list must have {least} entries" if least == most else f"the list must have {least} entries or more"
-    if kind in ("string_type", "string_pattern_mismatch", "string_too_long", "string_too_short"):
+    if kind.endswith(("too_short", "too_long")) and "pattern" not in node:
+        text = kind.startswith("string")
+        form, unit, end = ("text", "characters", "Length") if text else ("list", "entries", "Items")
+        least, most = node.get(f"min{end}"), node.get(f"max{end}")
+        count = least if least == most else f"at most {most}" if kind.endswith("long") else f"{least} or more"
+        return f"the {form} must have {count} {unit}"
+    if kind.startswith("string_"):
         shape = "a name: a letter first, then letters, digits or _, 64 at most" if "pattern" in node else "a text"
         return f"the value must be {shape}"
     forms = {"bool_type": "true or false", "tuple_type": "a list", "list_type": "a list"}

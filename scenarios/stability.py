@@ -122,6 +122,8 @@ def stability(request: MapRequest | HapticRequest) -> bool:
         By the user; what is finished is kept, and the same command goes on there.
     """
     console = Console(stderr=True)
+    for remark in request.scene.remarks:
+        console.print(remark, highlight=False, markup=False, soft_wrap=True)
     problem = problem_of(scene_key(request.scene), replace(request, workers=1, scheduler=None, progress=True))
     kept = Kept(request.output / request.KEPT, problem)
     try:
@@ -204,17 +206,15 @@ def _maps(request: MapRequest, runner: _Runner) -> tuple[list[Any], dict[str, by
     press = _press(request, scene, first)
     depth = press.reach if request.depth is None else request.depth
     limit = _limit_at_rest(first)
-    own = _own_values(scene, first, request.speed, limit)
-    if "damping" in (request.x, request.y) and scene.tissue[0].damping == 0.0:
-        # Half of what would make the fastest motion critical, as there is no value to start from.
-        own["damping"] = float(first.model.spring_stiffness.mean()) * 0.5 * limit
+    own = _own_values(scene, first, request.speed)
+    start = _start_values(own, first, limit)
     integrators = _integrators(request, runner.console)
     benches = {}
     for integrator in integrators:
-        damping = {"damping": own["damping"]} if "damping" in (request.x, request.y) else {}
+        damping = {"damping": start["damping"]} if "damping" in (request.x, request.y) else {}
         # With the substeps fixed no scheme is refused for want of damping; each run sets them.
         made = assemble(_varied(scene, damping, {"integrator": integrator, "substeps": 1}))
-        benches[integrator] = Bench(made, own, press, depth, request.seed)
+        benches[integrator] = Bench(made, start, press, depth, request.seed)
     budget = limit * scene.solver.safety * scene.solver.max_substeps
     values: dict[tuple[str, str], Real] = {}
     for kind in request.kinds:
@@ -223,8 +223,8 @@ def _maps(request: MapRequest, runner: _Runner) -> tuple[list[Any], dict[str, by
                 span = (limit / DECADE, limit * DECADE)
                 span = span if kind == "one" else (BUDGET_SPAN[0] * budget, BUDGET_SPAN[1] * budget)
             else:
-                span = (own[axis] / DECADE, own[axis] * DECADE)
-            low, high = _limits(scene, axis, own)
+                span = (start[axis] / DECADE, start[axis] * DECADE)
+            low, high = _limits(scene, axis, start)
             span = given or (max(span[0], low), min(span[1], high))
             if not low <= span[0] < span[1] <= high:
                 rule = f"the range of {axis} must be in order and within {low:g} to {high:g} {_unit(scene, axis)}"
@@ -274,20 +274,28 @@ def _limit_at_rest(assembly: Assembly) -> float:
     return limit
 
 
-def _own_values(scene: Scene, assembly: Assembly, speed: float, limit: float) -> dict[str, float]:
-    """The scene's value on every axis, or one of the right size where it has none."""
+def _own_values(scene: Scene, assembly: Assembly, speed: float) -> dict[str, float]:
+    """The scene's value on every axis."""
     tissue, contact, solver = scene.tissue[0], scene.contact[0], scene.solver
     return {
         "step": solver.step,
         "stiffness": float(assembly.model.spring_stiffness[: assembly.model.tissue_spring_start[1]].mean()),
         "damping": tissue.damping,
-        # a tenth of what makes the fastest motion critical
-        "support_damping": tissue.support_damping or 0.4 * tissue.areal_density / limit,
+        "support_damping": tissue.support_damping,
         "density": tissue.areal_density,
         "contact_stiffness": (contact.stiffness_per_area if contact.is_field else contact.stiffness) or 0.0,
         "speed": speed,
         "detection_period": solver.detection_period,
     }
+
+
+def _start_values(own: Mapping[str, float], assembly: Assembly, limit: float) -> dict[str, float]:
+    """The scene's values, and where it has no damping one to start from: a half, or a tenth, of the critical one."""
+    start = {
+        "damping": 0.5 * float(assembly.model.spring_stiffness.mean()) * limit,
+        "support_damping": 0.4 * own["density"] / limit,
+    }
+    return {axis: value or start.get(axis, value) for axis, value in own.items()}
 
 
 def _unit(scene: Scene, axis: str) -> str:
@@ -296,12 +304,12 @@ def _unit(scene: Scene, axis: str) -> str:
     return AXES[axis].unit
 
 
-def _limits(scene: Scene, axis: str, own: Mapping[str, float]) -> tuple[float, float]:
+def _limits(scene: Scene, axis: str, start: Mapping[str, float]) -> tuple[float, float]:
     """Range that a value on an axis may have."""
     if axis == "speed":
         return SPEED_RANGE
     if axis in ("stiffness", "damping"):
-        return SCALE_RANGE[0] * own[axis], SCALE_RANGE[1] * own[axis]
+        return SCALE_RANGE[0] * start[axis], SCALE_RANGE[1] * start[axis]
     contact = "stiffness_per_area" if scene.contact[0].is_field else "stiffness"
     found = {
         "step": setting(Solver, "step"),

@@ -16,6 +16,14 @@ from tissue_contact.variables import Variable
 KERNELS = Path(__file__).parent / "fmu_kernels" / "step.py"
 PLATFORM = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}[sys.platform]
 
+# A scene for the documentation; the arrays are not made of it.
+SOURCE = b"""\
+name = "tiny"
+[[instrument]]
+name = "tool"
+shape = { kind = "sphere", radius = 0.01, triangles = 100 }
+"""
+
 # Value references: the place in this table.
 PULL, WISH, POSITION, FORCE, STEPS, GAIN, SPARE = range(7)
 VARIABLES = (
@@ -59,7 +67,7 @@ def tiny_assembly(name="tiny", vertices=3, variables=VARIABLES, **changes):
         "start_time": 0.0,
         "stop_time": 1.0,
         "step_size": 0.001,
-        "source": b'name = "tiny"\n',
+        "source": SOURCE,
     }
     return Assembly(**settings | changes)
 

@@ -1,8 +1,10 @@
 """The command: help, exit codes, one line of error, files whole or absent."""
 
 import contextlib
+import errno
 import io
 import json
+import os
 import subprocess
 import sys
 import time
@@ -117,6 +119,52 @@ def test_wrong_input_is_2_in_one_line(words: list[str], message: str, folder: Pa
     assert [p.name for p in folder.parent.iterdir()] == ["tiny"]
 
 
+@pytest.fixture
+def organ(tmp_path: Path) -> Path:
+    file = tmp_path / "organ.stl"
+    file.write_bytes(stl_bytes(ellipsoid((0.02, 0.03, 0.04), 300)))
+    return file
+
+
+@pytest.mark.parametrize(
+    ("words", "place"),
+    [
+        ("mesh organ.stl --repair organ.stl/x.stl", "organ.stl/x.stl"),
+        ("mesh organ.stl --repair tiny", "tiny"),
+        (f"check {300 * 'x'}", 300 * "x"),
+        ("run press --parameters tiny", "tiny"),
+        ("run press --parameters organ.stl/x", "organ.stl/x"),
+        ("stability tiny/scene.toml --grid 2 -o organ.stl", "organ.stl/stability-kept.json"),
+    ],
+)
+def test_a_path_that_cannot_be_used_is_2_in_one_line(words, place, folder, organ, monkeypatch):
+    monkeypatch.setattr("tissue_contact.scenarios.stability.try_row", lambda row: [])
+    said = refused(*words.split(), cwd=folder.parent)
+    assert said.startswith(f"tissue-contact: {place}: it must be possible to read or write it; found ")
+    assert sorted(p.name for p in folder.parent.iterdir()) == ["organ.stl", "tiny"]
+
+
+def test_a_full_disk_is_2_in_one_line(organ, monkeypatch):
+    def full(handle: int, mode: str) -> None:
+        os.close(handle)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fdopen", full)
+    said = refused("mesh", "organ.stl", "--repair", "mended.stl", cwd=organ.parent)
+    assert said.startswith("tissue-contact: mended.stl: ") and "found No space left" in said and "make room" in said
+    assert list(organ.parent.iterdir()) == [organ]
+
+
+def test_a_reader_that_has_gone_is_no_wrong_path(monkeypatch, capsys):
+    def gone() -> None:
+        raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
+
+    monkeypatch.setattr("tissue_contact.scene.scene_schema", gone)
+    with pytest.raises(SystemExit) as ended:
+        app(["schema"])
+    assert ended.value.code == 1 and capsys.readouterr().err == ""
+
+
 def test_run_is_0_or_1_as_expected(folder: Path) -> None:
     done = command("run", folder, "--no-figures", cwd=folder.parent)
     assert done.returncode == 0, done.stderr
@@ -151,9 +199,8 @@ def test_build_and_check(folder: Path) -> None:
     assert command("check", fmu).returncode == 2
 
 
-def test_mesh_reports_repairs_and_judges(tmp_path: Path) -> None:
-    (tmp_path / "organ.stl").write_bytes(stl_bytes(ellipsoid((0.02, 0.03, 0.04), 300)))
-    done = command("mesh", tmp_path / "organ.stl", "--repair", tmp_path / "mended.stl")
+def test_mesh_reports_repairs_and_judges(organ: Path, tmp_path: Path) -> None:
+    done = command("mesh", organ, "--repair", tmp_path / "mended.stl")
     assert done.returncode == 0
     for part in (
         "triangles",
@@ -165,7 +212,7 @@ def test_mesh_reports_repairs_and_judges(tmp_path: Path) -> None:
         assert part in done.stdout
     same = [geometry.inspect(geometry.read(tmp_path / name)).volume for name in ("organ.stl", "mended.stl")]
     assert same[0] == pytest.approx(same[1], rel=1e-5)
-    done = command("mesh", tmp_path / "organ.stl", "--scale", "1000")
+    done = command("mesh", organ, "--scale", "1000")
     assert done.returncode == 1
     assert "no tissue" in done.stdout and "scale" in done.stdout
 

@@ -10,6 +10,7 @@ import sys
 import time
 import zipfile
 from pathlib import Path
+from typing import get_args
 
 import fmpy
 import numpy as np
@@ -18,13 +19,16 @@ from fmpy.model_description import read_model_description
 from fmu_fixture import GAIN, KERNELS, PLATFORM, POSITION, PULL, VARIABLES, tiny_assembly, tiny_fmu
 from lxml import etree
 
+from tissue_contact import scenarios, status
+from tissue_contact.assemble import INTEGRATORS
 from tissue_contact.errors import InputError, WorkError
-from tissue_contact.fmu import archive, compile, description, entry, machine_code, model_bin
+from tissue_contact.fmu import archive, compile, description, documentation, entry, machine_code, model_bin
 from tissue_contact.fmu.build import build
 from tissue_contact.fmu.check import check, fmi_functions
 from tissue_contact.fmu.exports import exported
 from tissue_contact.fmu.units import base_unit
 from tissue_contact.kernels.bundle import Bundle
+from tissue_contact.scene import Response
 from tissue_contact.variables import Variable
 
 PNG = bytes.fromhex(
@@ -131,6 +135,9 @@ def edit(name, old, new):
         ),
         (lambda c: c.update({"binaries/linux32/tiny.so": c["binaries/linux64/tiny.so"]}), "no such platform"),
         (lambda c: c.update({"binaries/linux64/tiny.so": b"nonsense"}), "no shared library"),
+        (lambda c: c.update({"binaries/linux64/tiny.so": b"\x7fELF" + bytes(28) + b"\xff" * 64}), "cannot be read"),
+        (lambda c: c.update({"resources/model.bin": c["resources/model.bin"] + b"0"}), "damaged"),
+        (edit("modelDescription.xml", b'Unit name="N/m"', b'Unit nam="N/m"'), "unknown factor"),
         (lambda c: [c.pop(n) for n in list(c) if n.startswith("binaries/")], "no binary"),
         (edit("binaries/linux64/tiny.so", b"fmi2SetTime\0", b"fmi2SatTime\0"), "exports fmi2SatTime"),
         (edit("binaries/win64/tiny.dll", b"fmi2SetTime\0", b"fmi2SatTime\0"), "lacks fmi2SetTime"),
@@ -142,10 +149,33 @@ def test_check_finds(everywhere, tmp_path, change, finding):
     assert any(finding in f for f in findings), findings
 
 
-def test_check_needs_a_zip(tmp_path):
-    (tmp_path / "x.fmu").write_bytes(b"nothing")
-    with pytest.raises(InputError, match="must be a zip"):
-        check(tmp_path / "x.fmu")
+# What of resources/model.bin is overwritten: where in its local entry, where in the central directory, and by what.
+UNREADABLE = {
+    "Bad CRC-32": (14, 16, b"\1\2\3\4"),
+    "encrypted": (6, 8, b"\1"),
+    "compression": (8, 10, b"\x61"),
+    "invalid block type": (30 + len("resources/model.bin"), None, b"\xff"),
+}
+
+
+@pytest.mark.parametrize("finding", UNREADABLE)
+def test_check_finds_what_cannot_be_read(fmu_path, tmp_path, finding):
+    name, content = b"resources/model.bin", bytearray(fmu_path.read_bytes())
+    local, central, new = UNREADABLE[finding]
+    for start, at in ((content.find(name) - 30, local), (content.rfind(name) - 46, central)):
+        if at is not None:
+            content[start + at : start + at + len(new)] = new
+    (tmp_path / "x.fmu").write_bytes(content)
+    told = check(tmp_path / "x.fmu")
+    assert re.search(f"zip: resources/model.bin cannot be read: .*{finding}", "\n".join(told)), told
+
+
+def test_check_needs_a_zip(fmu_path, tmp_path):
+    content = fmu_path.read_bytes()
+    for wrong in (b"nothing", content.replace(b"PK\1\2", b"PK\3\3")):
+        (tmp_path / "x.fmu").write_bytes(wrong)
+        with pytest.raises(InputError, match=r"must be a zip file; found .*x\.fmu"):
+            check(tmp_path / "x.fmu")
 
 
 @pytest.mark.parametrize("platform", compile.ALL)
@@ -221,6 +251,14 @@ def test_kernel_source_is_part_of_the_cache_key(tmp_path):
     with_law = compile.library_hash(copy)
     copy.write_bytes(KERNELS.read_bytes() + b"\n")
     assert len({before, with_law, compile.library_hash(copy)}) == 3
+
+
+def test_status_codes_are_part_of_the_cache_key(tmp_path, monkeypatch):
+    before = compile.kernels_hash(KERNELS)
+    changed = tmp_path / "status.py"
+    changed.write_bytes(Path(status.__file__).read_bytes() + b"\n")
+    monkeypatch.setattr(status, "__file__", str(changed))
+    assert compile.kernels_hash(KERNELS) != before
 
 
 # --- what stops it ------------------------------------------------------------------------------------------
@@ -471,6 +509,83 @@ def test_documentation_names_every_variable(everywhere):
     )
 
 
+SHEET = """
+name = "sheet"
+[solver]
+{solver}
+[[tissue]]
+name = "liver"
+shape = {{ kind = "patch", size = [0.02, 0.02], triangles = 60 }}
+areal_density = 1.0
+stiffness = 100.0
+{tissue}
+[[instrument]]
+shape = {{ kind = "sphere", radius = 0.003, triangles = 128 }}
+[[contact]]
+name = "touch"
+{contact}
+"""
+FIELD, WHOLE = "stiffness_per_area = 1e7", "stiffness = 500.0"
+HUNT = f'law = "hunt_crossley"\n{FIELD}'
+EFFECTS = {
+    "bending_stiffness": "opposite an edge", "preload": "shorter than meshed", "nonlinearity": "β e²",
+    "damping": "d_ij", "area_stiffness": "k_A", "volume_stiffness": "k_V", "support_stiffness": "k_s",
+    "support_damping": "c_s", "drag": "c_d",
+}  # fmt: skip
+DEPTHS = {
+    "distance_field": "signed distance", "hull": "convex hull", "kdop": "k-DOP", "oobb": "corners of the object-orient",
+    "oobb_literal": "|D·u|", "primitive": "body&#x27;s triangles",
+}  # fmt: skip
+LAWS = {"kelvin_voigt": "k δ + c dδ/dt", "hunt_crossley": "(δ/1 m)ⁿ⁻¹"}
+SCHEMES = {
+    "symplectic_euler": "M v′ = M v*", "explicit_euler": "x′ = x + dt v<", "implicit_euler": "Newton",
+    "runge_kutta_4": "four evaluations", "projective_dynamics": "one constant matrix",
+}  # fmt: skip
+OTHERS = {"region": "share it", "pair": "every pair", "friction": "friction of", "limit": "moves fast", "g": "mᵢ g",
+          "fixed": "A fixed number", "automatic": "As many"}  # fmt: skip
+TOLD = EFFECTS | DEPTHS | LAWS | SCHEMES | OTHERS
+USUAL = {"distance_field", "kelvin_voigt", "projective_dynamics", "limit", "automatic"}
+
+
+def page_of(**keys):
+    """Documentation of the sheet."""
+    text = SHEET.format(**{"solver": "", "tissue": "", "contact": FIELD} | keys)
+    return documentation.page(tiny_assembly(source=text.encode()), picture=False)
+
+
+@pytest.mark.parametrize(
+    ("keys", "has"),
+    [
+        ({}, USUAL),
+        *(({"tissue": f"{key} = 0.5", "solver": 'preset = "accurate"'},
+           {"distance_field", "kelvin_voigt", "symplectic_euler", "automatic", key}) for key in EFFECTS),
+        *(({"contact": f'response = "{r}"\n{WHOLE}'}, {*USUAL - {"distance_field"}, r, "region"})
+          for r in get_args(Response) if r != "distance_field"),
+        ({"contact": f'response = "hull"\npair_weight = "none"\n{WHOLE}'},
+         {*USUAL - {"distance_field"}, "hull", "pair"}),
+        ({"contact": f"{HUNT}\nfriction = 0.3"}, {*USUAL - {"kelvin_voigt"}, "hunt_crossley", "friction"}),
+        *(({"solver": f'integrator = "{i}"\nsubsteps = 2\ngravity = [0, 0, -9.81]'},
+           {"distance_field", "kelvin_voigt", i, "fixed", "g"}) for i in INTEGRATORS),
+    ],
+)  # fmt: skip
+def test_documentation_has_the_equations_of_its_scene_and_no_others(keys, has):
+    page = page_of(**keys)
+    assert {name for name, words in TOLD.items() if words in page} == has
+
+
+def test_documentation_names_what_an_equation_holds_for():
+    page = page_of(tissue="drag = 10.0")
+    assert "<b>liver</b>: Drag" in page and "<b>touch</b>: Law of Kelvin" in page
+    assert "takes effect at once in the next step" in page
+
+
+def test_documentation_of_bodies_alone_knows_no_tissue():
+    clash = Path(scenarios.__file__).parent / "clash" / "scene.toml"
+    page = documentation.page(tiny_assembly(source=clash.read_bytes()), picture=False)
+    assert "points of one body" in page and "Hunt" in page and "friction of" in page
+    assert not re.search("tissue|<h3>Time", page[page.index("<h2>Model") : page.index("<h2>Use")])
+
+
 def test_licences(everywhere):
     texts = {n: c.decode() for n, c in entries(everywhere).items() if n.startswith("documentation/licenses/")}
     assert "MIT License" in texts["documentation/licenses/license.txt"]
@@ -482,8 +597,6 @@ def test_licences(everywhere):
 
 
 def test_layout_hash_follows_the_status_table(monkeypatch):
-    from tissue_contact import status
-
     before = entry.layout_hash()
     changed = (*status.STATUSES[:-1], status.STATUSES[-1]._replace(discard=not status.STATUSES[-1].discard))
     monkeypatch.setattr(status, "STATUSES", changed)
@@ -492,8 +605,6 @@ def test_layout_hash_follows_the_status_table(monkeypatch):
 
 @pytest.mark.parametrize("message", ["only one %g", "%g %g %g", "%g %s", "100% of %g %g"])
 def test_status_message_must_be_a_safe_format(monkeypatch, message):
-    from tissue_contact import status
-
     monkeypatch.setattr(status, "STATUSES", (status.STATUSES[0]._replace(message=message),))
     with pytest.raises(WorkError, match="exactly two %g"):
         compile.header()

@@ -89,6 +89,26 @@ WRONG = {
         "size = [0.06]",
         ["shape.size", "2 entries", "[0.06]", "along x and y"],
     ),
+    "empty list": (
+        "areal",
+        "fixed = []\nareal",
+        ["tissue[0].fixed", "the list must have 1 or more entries", "found []"],
+    ),
+    "long text": (
+        'name = "press"',
+        f'name = "press"\ndescription = "{1001 * "a"}"',
+        ["bad.toml, description", "the text must have at most 1000 characters", '"aaa'],
+    ),
+    "empty text": (
+        TEXT[TEXT.index("shape") : TEXT.index("areal")],
+        'mesh = ""\n',
+        ["tissue[0].mesh", "the text must have 1 or more characters", 'found ""'],
+    ),
+    "long name": (
+        'name = "press"',
+        f'name = "{65 * "a"}"',
+        ["bad.toml, name", "letter first", "64 at most"],
+    ),
     "item out of range": ("size = [0.06, 0.06]", "size = [0.06, 60]", ["shape.size[1]", "1 m", "found 60"]),
     "unknown kind": ('kind = "patch"', 'kind = "pach"', ["shape.kind", '"pach"', "spelling is patch"]),
     "no kind": ('kind = "patch",', "", ["shape", "kind must say", "capsule", "patch"]),
@@ -189,7 +209,11 @@ WRONG = {
         ["contact[0].between", "two objects", "with itself"],
     ),
     "one object": ("= 500.0", '= 500.0\nbetween = ["tissue"]', ["contact[0].between", "two objects", "Name two"]),
-    "three objects": ("= 500.0", '= 500.0\nbetween = ["tissue", "a", "b"]', ["contact[0].between", "the list must"]),
+    "three objects": (
+        "= 500.0",
+        '= 500.0\nbetween = ["tissue", "a", "b"]',
+        ["contact[0].between", "the list must have at most 2 entries"],
+    ),
     "hull between bodies": (
         "[[contact]]",
         TWO_RIGIDS + '[[contact]]\nbetween = ["a", "instrument"]',

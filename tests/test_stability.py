@@ -16,7 +16,7 @@ from tissue_contact import simulate
 from tissue_contact.assemble import INTEGRATORS
 from tissue_contact.errors import InputError
 from tissue_contact.kernels.slots import AREAL_DENSITY, SUPPORT_DAMPING, TISSUE_PARAMETERS
-from tissue_contact.pool import in_line, pool
+from tissue_contact.pool import Kept, in_line, pool
 from tissue_contact.scenarios import stability
 from tissue_contact.scenarios.run import Interrupted
 from tissue_contact.scene import read_scene
@@ -415,6 +415,22 @@ def test_projective_dynamics_is_left_out_where_it_does_not_know_the_forces(scene
     assert "projective_dynamics is left out, for it does not know the nonlinearity of tissue" in capsys.readouterr().err
 
 
+def test_a_preset_that_is_replaced_and_dampings_that_the_scene_has_not_are_told(scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(stability, "try_row", lambda row: [stability_map.Cell(STABLE, "", 0.0, 1e-3, 1)] * 2)
+    text = stiffening(scene).read_text().replace("support_damping = 2000.0", "")
+    scene.write_text(text.replace("[solver]", '[solver]\npreset = "fast"'))
+    asked = {"x": "damping", "y": "support_damping", "grid": 2, "kinds": ["one"], "integrators": ["symplectic_euler"]}
+    request = stability.MapRequest(read_scene(scene), tmp_path / "out", **asked)
+    assert stability.stability(request)
+    assert f"{request.scene.remarks[0]}\n" in capsys.readouterr().err
+    values = json.loads((request.output / "stability.json").read_text())["values"]
+    assert values["damping"] == values["support_damping"] == 0.0 < values["density"]
+    row = next(csv.DictReader((request.output / "stability.csv").open()))
+    assert float(row["damping [N.s/m]"]) > 0.0 < float(row["support_damping [N.s/m3]"])
+    with pytest.raises(InputError, match=r"The scene has 0\."):
+        stability.stability(replace(request, x_range=(1.0, 0.5)))
+
+
 def test_projective_dynamics_is_refused_by_the_option_that_asks_for_it(scene, tmp_path):
     words = ["--integrator", "projective_dynamics", "--integrator", "implicit_euler"]
     said = refused("stability", stiffening(scene), "-o", tmp_path / "out", *words, cwd=tmp_path)
@@ -447,6 +463,17 @@ def test_an_interrupted_map_goes_on_where_it_was(interrupted_map):
     assert stability.stability(request)
     assert len(tried) == 4 and len(set(tried)) == 3, "the first row is not done again"
     assert not (request.output / request.KEPT).exists()
+
+
+def test_nothing_counts_as_kept_before_it_is_in_the_file(tmp_path, monkeypatch):
+    def interrupted(path: Path, content: bytes) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tissue_contact.pool.publish", interrupted)
+    kept = Kept(tmp_path / "kept.json", "problem")
+    with pytest.raises(KeyboardInterrupt):
+        kept.spread(in_line, str, [1, 2], ["a", "b"], lambda: None)
+    assert kept.done == {}
 
 
 def test_what_other_sources_have_finished_is_done_again(interrupted_map, monkeypatch):
