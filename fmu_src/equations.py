@@ -91,7 +91,7 @@ CHAPTERS = {
         Paragraph(
             _tissues(lambda t: t.volume_stiffness),
             "Resistance against a change of the volume V.",
-            "f = −∂/∂xᵢ ½ k_V (V − V₀)²/V₀",
+            "f = −∂/∂xᵢ ½ k_V (V − V₀)²/|V₀|",
         ),
         Paragraph(_tissues(lambda t: t.support_stiffness), "Elastic foundation.", "f = −Aᵢ k_s (xᵢ − xᵢ⁰)"),
         Paragraph(_tissues(lambda t: t.support_damping), "Damping of the foundation.", "f = −Aᵢ c_s vᵢ"),
