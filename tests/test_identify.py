@@ -220,6 +220,14 @@ def test_held_out_error_is_that_of_a_fit_that_has_not_seen_the_probe():
     assert held_out.rmse == pytest.approx(np.sqrt(np.mean(np.concatenate(missed) ** 2)), rel=1e-9)
 
 
+@pytest.mark.parametrize("samples", [3, 7])
+def test_too_few_samples_to_hold_any_out_are_fitted_all_the_same(samples):
+    depth = np.linspace(1e-3, 3e-3, samples)
+    probe = Probe("a", "", of_depth(pressed(depth)), 200.0 * depth)
+    (found,), held_out, _ = fit_laws([probe], Options(laws=("kelvin_voigt",)), False, "no time stamps")
+    assert (found.estimates[0].value, held_out) == (pytest.approx(200.0), [])
+
+
 def test_work_that_is_spread_gives_the_same_results():
     some = probes(4)
     alone = fit_laws(some, Options(), True, "", in_line)

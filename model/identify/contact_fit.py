@@ -228,7 +228,7 @@ def _folds(probes: Sequence[Probe], options: Options) -> list[tuple[tuple[Touche
     """What is fitted and what is held out: probes by turns, or with one probe stretches of its samples."""
     if len(probes) == 1:
         touches, force = probes[0].touches, probes[0].force.reshape(probes[0].touches.samples, -1)
-        parts = np.array_split(np.arange(touches.samples), min(options.folds, touches.samples // SMALLEST))
+        parts = np.array_split(np.arange(touches.samples), max(1, min(options.folds, touches.samples // SMALLEST)))
         if len(parts) < 2:
             return []
         rest = [np.setdiff1d(np.arange(touches.samples), part) for part in parts]
