@@ -181,6 +181,8 @@ def test_given_constants_and_bounds_are_kept():
         fitted(swept(), force, laws=("hunt_crossley",), given={"exponnt": 1.5})
     with pytest.raises(InputError, match="between 1 and 5"):
         fitted(swept(), force, laws=("hunt_crossley",), given={"exponent": 0.5})
+    with pytest.raises(InputError, match=r"below the greatest; found 2:2\. Give --fix exponent=2"):
+        fitted(swept(), force, laws=("hunt_crossley",), bounds={"exponent": (2.0, 2.0)})
 
 
 # --- several probes ---------------------------------------------------------------------------------------

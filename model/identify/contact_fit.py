@@ -157,6 +157,9 @@ def check_options(options: Options) -> None:
         if not own.minimum <= low <= high <= own.maximum:
             rule = f"{name} must lie between {own.minimum:g} and {own.maximum:g} {own.unit}, the least first"
             raise InputError(option, rule, f"{low:g}" if low == high else f"{low:g}:{high:g}", "Choose within")
+        if low == high and option == "--bounds":
+            way_out = f"Give --fix {name}={low:g} to hold it there"
+            raise InputError(option, f"the least of {name} must be below the greatest", f"{low:g}:{high:g}", way_out)
 
 
 def fit_laws(
