@@ -86,7 +86,8 @@ def fit(request: Request) -> Result:
     Raises
     ------
     InputError
-        The data, the mapping, the scene or an option is wrong. No file is written.
+        The data, the mapping, the scene or an option is wrong. No file is written; but where only the scene to write
+        would be wrong, all others are.
     WorkError
         A rollout failed.
     Interrupted
@@ -118,18 +119,22 @@ def fit(request: Request) -> Result:
         chosen=found.chosen,
         parameters=found.parameters,
     )
-    if request.write_scene is not None:
-        assert scene is not None
-        write_scene(scene, result.parameters, request.write_scene)
     write_result(result, request.output / "result.json")
     write_report(result, _curves(reading, found), request.output / "report.html")
     publish(request.output / "fitted.csv", _table(reading, found).encode())
     kept.unlink(missing_ok=True)
     out = Console()
     out.print(summary(result))
-    files = [request.output / name for name in ("result.json", "report.html", "fitted.csv")]
-    for file in [*files, *([request.write_scene] if request.write_scene else [])]:
+
+    def tell(file: Path) -> None:
         out.print(f"wrote {file}", highlight=False, markup=False, soft_wrap=True)
+
+    for name in ("result.json", "report.html", "fitted.csv"):
+        tell(request.output / name)
+    if request.write_scene is not None:
+        assert scene is not None
+        write_scene(scene, result.parameters, request.write_scene, None if request.parameters else result.chosen)
+        tell(request.write_scene)
     return result
 
 
