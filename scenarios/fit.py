@@ -30,7 +30,7 @@ from tissue_contact.pool import Kept, Spread, pool, problem_of
 from tissue_contact.scenarios.fmu_force import FmuMaker, variables_of
 from tissue_contact.scenarios.run import bar_of, interrupted
 from tissue_contact.scene import Scene, read_scene
-from tissue_contact.settings import validate
+from tissue_contact.settings import check_folder, validate
 from tissue_contact.table import camel
 from tissue_contact.variables import Variable
 
@@ -169,6 +169,8 @@ def _check(request: Request) -> None:
          "the scene says what the tip is like", "--scene as well", "Leave one of the two out"),
         (request.write_scene is not None and request.scene is None, "--write-scene",
          "there must be a scene to store in", request.write_scene, "Give --scene SCENE"),
+        (request.write_scene is not None and request.write_scene.is_dir(), "--write-scene", "a scene is a file",
+         f"the folder {request.write_scene}", "Name a file in it, for instance fitted.toml"),
         (bool(request.grid) and not whole, "--grid", "a grid is for a fit of the whole model", ", ".join(request.grid),
          "Name what to fit with --parameter"),
         (whole and tuple(request.laws) != tuple(LAWS), "--law", "the scene or the FMU says what the law is",
@@ -179,6 +181,9 @@ def _check(request: Request) -> None:
     for wrong, place, rule, value, way_out in rules:
         if wrong:
             raise InputError(place, rule, value, way_out)
+    check_folder("--output", request.output)
+    if request.write_scene is not None:
+        check_folder("--write-scene", request.write_scene.parent)
 
 
 # --- the law alone ----------------------------------------------------------------------------------------

@@ -332,6 +332,10 @@ def test_depths_alone_give_a_law_and_no_damper(depths, tmp_path):
         (["--treat", "low_pass=20"], "needs a column of time"),
         (["--scheduler", "tcp://127.0.0.1:9"], "dask scheduler must answer"),
         (["--parameter", "a", "--fmu", "missing.fmu"], "the FMU must exist"),
+        (["-o", "depths.csv"], "--output: results need a folder; found the file depths.csv"),
+        (["-o", "depths.csv/out"], "found the file depths.csv"),
+        (["--scene", "x.toml", "--write-scene", "depths.csv/x.toml"], "--write-scene: results need a folder"),
+        (["--scene", "x.toml", "--write-scene", "."], "--write-scene: a scene is a file; found the folder ."),
     ],
 )
 def test_wrong_words_get_one_line_and_no_file(depths, tmp_path, monkeypatch, words, told):
