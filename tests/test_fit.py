@@ -326,6 +326,10 @@ def test_depths_alone_give_a_law_and_no_damper(depths, tmp_path):
         (["--tip-radius", "0.005", "--tip-area", "1e-5"], "round or flat"),
         (["--write-scene", "x.toml"], "must be a scene to store in"),
         (["--bounds", "stiffness=1"], "NAME=LOW:HIGH"),
+        *(
+            (["--grid", f"stiffness=1:2:{n}"], f"COUNT must be a whole number; found {n}")
+            for n in ("nan", "inf", "2.5")
+        ),
         (["--bounds", "stifness=1:2"], "nearest right spelling is stiffness"),
         (["--treat", "low_pass"], "KEY=VALUE"),
         (["--treat", "lowpass=3"], "nearest right spelling is low_pass"),
