@@ -91,7 +91,7 @@ def fit(request: Request) -> Result:
     WorkError
         A rollout failed.
     Interrupted
-        By the user; what a fit of a whole model has finished is kept in `starts.json`.
+        By the user, in a fit of a whole model; what it has finished is kept in `starts.json`.
     """
     _check(request)
     scene = read_scene(request.scene) if request.scene else None
@@ -100,14 +100,11 @@ def fit(request: Request) -> Result:
     reading = read(request.data, description.columns, treatment)
     console = Console(stderr=True)
     kept = request.output / STARTS
-    try:
-        with bar_of(console, request.progress) as bar, pool(request.workers, request.scheduler) as spread:
-            if request.parameters:
-                found = _whole_model(request, scene, reading, spread, bar, kept, console)
-            else:
-                found = _law_alone(request, scene, reading, spread, bar)
-    except KeyboardInterrupt as error:
-        raise interrupted(kept, kept.is_file()) from error
+    with bar_of(console, request.progress) as bar, pool(request.workers, request.scheduler) as spread:
+        if request.parameters:
+            found = _whole_model(request, scene, reading, spread, bar, kept, console)
+        else:
+            found = _law_alone(request, scene, reading, spread, bar)
     result = Result(
         data=tuple(str(p) for p in request.data),
         probes=len(reading.recordings),
@@ -285,17 +282,20 @@ def _whole_model(
     if store.done:
         console.print(f"going on with {len(store.done)} finished tasks of {kept}", highlight=False, markup=False)
     start = np.array([v.start for v in wanted])
-    found = fit_scene(
-        make,
-        drives,
-        wanted,
-        start,
-        options,
-        store,
-        spread,
-        lambda total: bar.update(task, total=total),
-        lambda: bar.advance(task),
-    )
+    try:
+        found = fit_scene(
+            make,
+            drives,
+            wanted,
+            start,
+            options,
+            store,
+            spread,
+            lambda total: bar.update(task, total=total),
+            lambda: bar.advance(task),
+        )
+    except KeyboardInterrupt as error:
+        raise interrupted(kept, bool(store.done)) from error
     if found.grid is not None:
         publish(request.output / "grid.csv", _grid_table(wanted, found).encode())
     values = {e.name: e.value for e in found.fitted.estimates if e.value is not None}

@@ -270,15 +270,20 @@ def test_an_fmu_alone_is_fitted_by_the_command(fmu, tmp_path):
     assert found == pytest.approx({"tissue.supportStiffness": 7e4}, rel=1e-5)
 
 
-def test_an_interrupted_fit_says_what_it_kept_and_goes_on_there(assembly, tmp_path, monkeypatch):
+@pytest.fixture
+def unfelt(tmp_path):
+    """A short fit to a force of 0."""
     file = tmp_path / "measured.csv"
     scene_file = tmp_path / "scene.toml"
     scene_file.write_bytes(SCENE)
     rows = np.concatenate([poses()[:40, :4], np.zeros((40, 3))], axis=1)
     np.savetxt(file, rows, delimiter=",", header="time_s,x_m,y_m,z_m,fx_N,fy_N,fz_N", comments="")
-    request = Request(
+    return Request(
         [file], tmp_path / "out", scene=scene_file, parameters=["tissue.supportStiffness"], starts=3, progress=False
     )
+
+
+def test_an_interrupted_fit_says_what_it_kept_and_goes_on_there(unfelt, monkeypatch):
     done = []
 
     def stopping(task):
@@ -290,10 +295,21 @@ def test_an_interrupted_fit_says_what_it_kept_and_goes_on_there(assembly, tmp_pa
     from_start = scene_fit._from_start
     monkeypatch.setattr(scene_fit, "_from_start", stopping)
     with pytest.raises(Interrupted, match=r"Kept what is finished in .*starts\.json: the same command goes on there"):
-        fit_data(request)
-    assert len(json.loads((tmp_path / "out" / "starts.json").read_text())["done"]) == 2
-    assert [p.name for p in (tmp_path / "out").iterdir()] == ["starts.json"]
+        fit_data(unfelt)
+    assert len(json.loads((unfelt.output / "starts.json").read_text())["done"]) == 2
+    assert [p.name for p in unfelt.output.iterdir()] == ["starts.json"]
     done.clear()
-    fit_data(request)
+    fit_data(unfelt)
     assert len(done) == 1
-    assert not (tmp_path / "out" / "starts.json").exists()
+    assert not (unfelt.output / "starts.json").exists()
+
+
+def test_an_interrupted_fit_does_not_take_what_another_kept_for_its_own(unfelt, monkeypatch):
+    def stopping(task):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(scene_fit, "_from_start", stopping)
+    unfelt.output.mkdir()
+    (unfelt.output / "starts.json").write_text('{"problem": "another", "done": {"start": 1}}')
+    with pytest.raises(Interrupted, match="Nothing kept"):
+        fit_data(unfelt)
