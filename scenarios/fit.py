@@ -276,7 +276,7 @@ def _whole_model(
     )  # fmt: skip
     problem = problem_of(
         model, names, instrument, request.loss, sorted(request.bounds.items()),
-        *[part for d in drives for part in (d.inputs, d.measured, d.step)],
+        *[part for d in drives for part in (d.inputs, d.measured, d.step, d.at)],
     )  # fmt: skip
     store = Kept(kept, problem)
     if store.done:
@@ -301,6 +301,9 @@ def _whole_model(
     values = {e.name: e.value for e in found.fitted.estimates if e.value is not None}
     parts = np.split(found.force, np.cumsum([len(d.measured) for d in drives])[:-1])
     notes = []
+    missing = sum(len(d.inputs) for d in drives) - sum(len(r) for r in reading.recordings)
+    if missing:
+        notes.append(f"{missing} samples are missing between others: the instrument goes on evenly there")
     if request.starts > 1:
         best = min(run["cost"] for run in found.starts)
         near = sum(run["cost"] <= best * (1 + 1e-6) + 1e-300 for run in found.starts)
