@@ -235,7 +235,7 @@ def fit(
             tip_area=tip_area,
             given=_assignments(fix or [], "--fix"),
             bounds={name: (low, high) for name, (low, high) in _ranges(bounds or [], "--bounds", 2).items()},
-            grid={name: (low, high, round(n)) for name, (low, high, n) in _ranges(grid or [], "--grid", 3).items()},
+            grid={name: (low, high, _whole(n)) for name, (low, high, n) in _ranges(grid or [], "--grid", 3).items()},
             loss=loss,
             folds=folds,
             starts=starts,
@@ -494,6 +494,12 @@ def _ranges(words: list[str], option: str, count: int) -> dict[str, list[float]]
             rule = f"it must be written as NAME={form} with {'a number' if count == 1 else 'numbers'}"
             raise InputError(option, rule, word, f"Write for instance {example}")
     return values
+
+
+def _whole(count: float) -> int:
+    if not count.is_integer():  # nor is what is not finite
+        raise InputError("--grid", "COUNT must be a whole number", f"{count:g}", "Write for instance 100:400:7")
+    return int(count)
 
 
 def main() -> None:

@@ -125,6 +125,13 @@ def check_recording(path: Path) -> None:
         raise InputError(str(path), "the recording must exist", "no such file", way_out)
 
 
+def check_folder(option: str, path: Path) -> None:
+    """InputError where a folder for results cannot be, as there is a file."""
+    for part in (path, *path.parents):
+        if part.exists() and not part.is_dir():
+            raise InputError(option, "results need a folder", f"the file {part}", "Name another, which may be new")
+
+
 def parse_toml(source: bytes, place: str) -> dict[str, Any]:
     """Content of a TOML file; InputError with the line where it is not TOML."""
     rule, way_out = "the file must be TOML", "Mend the syntax there"

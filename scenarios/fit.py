@@ -30,7 +30,7 @@ from tissue_contact.pool import Kept, Spread, pool, problem_of
 from tissue_contact.scenarios.fmu_force import FmuMaker, variables_of
 from tissue_contact.scenarios.run import bar_of, interrupted
 from tissue_contact.scene import Scene, read_scene
-from tissue_contact.settings import validate
+from tissue_contact.settings import check_folder, validate
 from tissue_contact.table import camel
 from tissue_contact.variables import Variable
 
@@ -86,11 +86,12 @@ def fit(request: Request) -> Result:
     Raises
     ------
     InputError
-        The data, the mapping, the scene or an option is wrong. No file is written.
+        The data, the mapping, the scene or an option is wrong. No file is written; but where only the scene to write
+        would be wrong, all others are.
     WorkError
         A rollout failed.
     Interrupted
-        By the user; what a fit of a whole model has finished is kept in `starts.json`.
+        By the user, in a fit of a whole model; what it has finished is kept in `starts.json`.
     """
     _check(request)
     scene = read_scene(request.scene) if request.scene else None
@@ -99,14 +100,11 @@ def fit(request: Request) -> Result:
     reading = read(request.data, description.columns, treatment)
     console = Console(stderr=True)
     kept = request.output / STARTS
-    try:
-        with bar_of(console, request.progress) as bar, pool(request.workers, request.scheduler) as spread:
-            if request.parameters:
-                found = _whole_model(request, scene, reading, spread, bar, kept, console)
-            else:
-                found = _law_alone(request, scene, reading, spread, bar)
-    except KeyboardInterrupt as error:
-        raise interrupted(kept, kept.is_file()) from error
+    with bar_of(console, request.progress) as bar, pool(request.workers, request.scheduler) as spread:
+        if request.parameters:
+            found = _whole_model(request, scene, reading, spread, bar, kept, console)
+        else:
+            found = _law_alone(request, scene, reading, spread, bar)
     result = Result(
         data=tuple(str(p) for p in request.data),
         probes=len(reading.recordings),
@@ -118,18 +116,22 @@ def fit(request: Request) -> Result:
         chosen=found.chosen,
         parameters=found.parameters,
     )
-    if request.write_scene is not None:
-        assert scene is not None
-        write_scene(scene, result.parameters, request.write_scene)
     write_result(result, request.output / "result.json")
     write_report(result, _curves(reading, found), request.output / "report.html")
     publish(request.output / "fitted.csv", _table(reading, found).encode())
     kept.unlink(missing_ok=True)
     out = Console()
     out.print(summary(result))
-    files = [request.output / name for name in ("result.json", "report.html", "fitted.csv")]
-    for file in [*files, *([request.write_scene] if request.write_scene else [])]:
+
+    def tell(file: Path) -> None:
         out.print(f"wrote {file}", highlight=False, markup=False, soft_wrap=True)
+
+    for name in ("result.json", "report.html", "fitted.csv"):
+        tell(request.output / name)
+    if request.write_scene is not None:
+        assert scene is not None
+        write_scene(scene, result.parameters, request.write_scene, None if request.parameters else result.chosen)
+        tell(request.write_scene)
     return result
 
 
@@ -164,6 +166,8 @@ def _check(request: Request) -> None:
          "the scene says what the tip is like", "--scene as well", "Leave one of the two out"),
         (request.write_scene is not None and request.scene is None, "--write-scene",
          "there must be a scene to store in", request.write_scene, "Give --scene SCENE"),
+        (request.write_scene is not None and request.write_scene.is_dir(), "--write-scene", "a scene is a file",
+         f"the folder {request.write_scene}", "Name a file in it, for instance fitted.toml"),
         (bool(request.grid) and not whole, "--grid", "a grid is for a fit of the whole model", ", ".join(request.grid),
          "Name what to fit with --parameter"),
         (whole and tuple(request.laws) != tuple(LAWS), "--law", "the scene or the FMU says what the law is",
@@ -174,6 +178,9 @@ def _check(request: Request) -> None:
     for wrong, place, rule, value, way_out in rules:
         if wrong:
             raise InputError(place, rule, value, way_out)
+    check_folder("--output", request.output)
+    if request.write_scene is not None:
+        check_folder("--write-scene", request.write_scene.parent)
 
 
 # --- the law alone ----------------------------------------------------------------------------------------
@@ -269,28 +276,34 @@ def _whole_model(
     )  # fmt: skip
     problem = problem_of(
         model, names, instrument, request.loss, sorted(request.bounds.items()),
-        *[part for d in drives for part in (d.inputs, d.measured, d.step)],
+        *[part for d in drives for part in (d.inputs, d.measured, d.step, d.at)],
     )  # fmt: skip
     store = Kept(kept, problem)
     if store.done:
         console.print(f"going on with {len(store.done)} finished tasks of {kept}", highlight=False, markup=False)
     start = np.array([v.start for v in wanted])
-    found = fit_scene(
-        make,
-        drives,
-        wanted,
-        start,
-        options,
-        store,
-        spread,
-        lambda total: bar.update(task, total=total),
-        lambda: bar.advance(task),
-    )
+    try:
+        found = fit_scene(
+            make,
+            drives,
+            wanted,
+            start,
+            options,
+            store,
+            spread,
+            lambda total: bar.update(task, total=total),
+            lambda: bar.advance(task),
+        )
+    except KeyboardInterrupt as error:
+        raise interrupted(kept, bool(store.done)) from error
     if found.grid is not None:
         publish(request.output / "grid.csv", _grid_table(wanted, found).encode())
     values = {e.name: e.value for e in found.fitted.estimates if e.value is not None}
     parts = np.split(found.force, np.cumsum([len(d.measured) for d in drives])[:-1])
     notes = []
+    missing = sum(len(d.inputs) for d in drives) - sum(len(r) for r in reading.recordings)
+    if missing:
+        notes.append(f"{missing} samples are missing between others: the instrument goes on evenly there")
     if request.starts > 1:
         best = min(run["cost"] for run in found.starts)
         near = sum(run["cost"] <= best * (1 + 1e-6) + 1e-300 for run in found.starts)

@@ -60,7 +60,7 @@ class FmuForce:
                     values = {v.name: float(p) for v, p in zip(self.variables, parameters, strict=True)}
                     drive(slave, self._description, steps, inputs, values, trace)
                     columns = [trace.names.index(name) for name in self._force]
-                    forces.append(trace.values[:, columns].ravel())
+                    forces.append(trace.values[d.at][:, columns].ravel())
                 found.append(np.concatenate(forces))
         return found
 

@@ -17,12 +17,14 @@ from tissue_contact.identify.contact_fit import Options, Probe, fit_laws
 from tissue_contact.identify.laws import LAWS, Force, Touches, constants_of
 from tissue_contact.identify.least_squares import fit as least_squares_fit
 from tissue_contact.identify.reading import Mapping, Treatment, read
+from tissue_contact.identify.recording import Recording
 from tissue_contact.identify.result import read_result
 from tissue_contact.identify.rollouts import Drive
 from tissue_contact.identify.statistics import uncertainty
-from tissue_contact.identify.touching import of_depth
+from tissue_contact.identify.touching import of_depth, of_pose
 from tissue_contact.identify.write_scene import write_scene
-from tissue_contact.scenarios.fit import with_options
+from tissue_contact.scenarios.fit import Request, with_options
+from tissue_contact.scenarios.fit import fit as fit_data
 from tissue_contact.scenarios.fmu_force import FmuForce
 from tissue_contact.scenarios.run import fmu_of
 from tissue_contact.scene import parse_scene, read_scene
@@ -248,6 +250,54 @@ def test_intervals_cover_the_constants_of_the_fmu_as_often_as_they_say(of_the_fm
     assert ((hits >= 180) & (hits <= 198)).all(), (seed, hits)
 
 
+# --- a law that is not the scene's ------------------------------------------------------------------------
+
+OWN = {
+    "kelvin_voigt": {"stiffness_per_area": 2e7, "damping_per_area": 3e4},
+    "hunt_crossley": {"stiffness_per_area": 5e9, "dissipation": 2.0, "exponent": 1.7},
+}
+
+
+@pytest.fixture(params=LAWS)
+def of_another_law(request, tmp_path):
+    """A fit of a scene of one law to the force of the other, and that law."""
+    law, (other,) = request.param, set(LAWS) - {request.param}
+    file = tmp_path / "scene.toml"
+    held, _, _ = HELD.partition("response")
+    keys = "".join(f"{key} = {value}\n" for key, value in OWN[law].items())
+    file.write_text(f'{held.format()}friction = 0.3\nlaw = "{law}"\n{keys}')
+    t = 1e-3 * np.arange(60)
+    pose = np.tile([0.0, 0.0, 1e-3, 1.0, 0.0, 0.0, 0.0], (t.size, 1))
+    pose[:, 2] -= 3e-3 * np.sin(np.pi * t / t[-1])
+    recording = Recording("a", "", "", np.arange(t.size), time=t, pose=pose, force_vector=pose[:, :3])
+    force = Force(other, of_pose(recording, read_scene(file), 0))(np.array(list(OWN[other].values())))[0]
+    rows = np.column_stack([t, pose[:, :3], force.reshape(-1, 3)])
+    head = "time_s,x_m,y_m,z_m,fx_N,fy_N,fz_N"
+    measured = tmp_path / "measured.csv"
+    np.savetxt(measured, rows, delimiter=",", header=head, comments="")
+    request = Request([measured], tmp_path / "out", scene=file, write_scene=tmp_path / "new.toml", progress=False)
+    return request, other
+
+
+def test_a_scene_is_written_with_the_law_that_was_chosen(of_another_law):
+    request, other = of_another_law
+    assert fit_data(request).chosen == other
+    (contact,) = read_scene(request.write_scene).contact
+    assert (contact.law, contact.friction) == (other, 0.3)
+    assert {key: getattr(contact, key) for key in OWN[other]} == pytest.approx(OWN[other], rel=1e-5)
+
+
+def test_a_result_is_there_also_where_the_scene_cannot_be_written(of_another_law, monkeypatch):
+    def refusing(*given):
+        raise InputError("new.toml", "a scene must be right", "another", "Mend it")
+
+    monkeypatch.setattr("tissue_contact.scenarios.fit.write_scene", refusing)
+    request, other = of_another_law
+    with pytest.raises(InputError, match="a scene must be right"):
+        fit_data(request)
+    assert read_result(request.output / "result.json").chosen == other
+
+
 # --- what is wrong ----------------------------------------------------------------------------------------
 
 
@@ -276,12 +326,20 @@ def test_depths_alone_give_a_law_and_no_damper(depths, tmp_path):
         (["--tip-radius", "0.005", "--tip-area", "1e-5"], "round or flat"),
         (["--write-scene", "x.toml"], "must be a scene to store in"),
         (["--bounds", "stiffness=1"], "NAME=LOW:HIGH"),
+        *(
+            (["--grid", f"stiffness=1:2:{n}"], f"COUNT must be a whole number; found {n}")
+            for n in ("nan", "inf", "2.5")
+        ),
         (["--bounds", "stifness=1:2"], "nearest right spelling is stiffness"),
         (["--treat", "low_pass"], "KEY=VALUE"),
         (["--treat", "lowpass=3"], "nearest right spelling is low_pass"),
         (["--treat", "low_pass=20"], "needs a column of time"),
         (["--scheduler", "tcp://127.0.0.1:9"], "dask scheduler must answer"),
         (["--parameter", "a", "--fmu", "missing.fmu"], "the FMU must exist"),
+        (["-o", "depths.csv"], "--output: results need a folder; found the file depths.csv"),
+        (["-o", "depths.csv/out"], "found the file depths.csv"),
+        (["--scene", "x.toml", "--write-scene", "depths.csv/x.toml"], "--write-scene: results need a folder"),
+        (["--scene", "x.toml", "--write-scene", "."], "--write-scene: a scene is a file; found the folder ."),
     ],
 )
 def test_wrong_words_get_one_line_and_no_file(depths, tmp_path, monkeypatch, words, told):

@@ -181,6 +181,8 @@ def test_given_constants_and_bounds_are_kept():
         fitted(swept(), force, laws=("hunt_crossley",), given={"exponnt": 1.5})
     with pytest.raises(InputError, match="between 1 and 5"):
         fitted(swept(), force, laws=("hunt_crossley",), given={"exponent": 0.5})
+    with pytest.raises(InputError, match=r"below the greatest; found 2:2\. Give --fix exponent=2"):
+        fitted(swept(), force, laws=("hunt_crossley",), bounds={"exponent": (2.0, 2.0)})
 
 
 # --- several probes ---------------------------------------------------------------------------------------
@@ -218,6 +220,14 @@ def test_held_out_error_is_that_of_a_fit_that_has_not_seen_the_probe():
         own = Force("kelvin_voigt", some[n].touches)(constants["kelvin_voigt", "pooled", "all probes"])[0]
         missed.append(own - some[n].force)
     assert held_out.rmse == pytest.approx(np.sqrt(np.mean(np.concatenate(missed) ** 2)), rel=1e-9)
+
+
+@pytest.mark.parametrize("samples", [3, 7])
+def test_too_few_samples_to_hold_any_out_are_fitted_all_the_same(samples):
+    depth = np.linspace(1e-3, 3e-3, samples)
+    probe = Probe("a", "", of_depth(pressed(depth)), 200.0 * depth)
+    (found,), held_out, _ = fit_laws([probe], Options(laws=("kelvin_voigt",)), False, "no time stamps")
+    assert (found.estimates[0].value, held_out) == (pytest.approx(200.0), [])
 
 
 def test_work_that_is_spread_gives_the_same_results():

@@ -1,12 +1,14 @@
 """Identification of a whole model: recovery from the FMU's own data, both routes, derivatives, resuming."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import least_squares as scipy_least_squares
+from scipy.spatial.transform import Rotation
 from test_cli import command
 
 from tissue_contact.assemble import assemble
@@ -182,6 +184,48 @@ def test_starts_folds_and_grid_are_spread_kept_and_gone_on_with(fmu, assembly, t
     assert Kept(tmp_path / "starts.json", "other").done == {}
 
 
+GONE = [50, 51, 90]  # while the ball is in
+
+
+def test_samples_that_are_missing_are_driven_through_and_not_compared(fmu, assembly):
+    whole = recorded(fmu)
+    kept = np.delete(np.arange(STEPS + 1), GONE)
+    pose = whole.pose.copy()
+    pose[:, 2] = np.interp(whole.time, whole.time[kept], pose[kept, 2])
+    angle = np.interp(whole.time, whole.time[kept], whole.time[kept] ** 2)  # [rad]
+    pose[:, 3:] = Rotation.from_rotvec(np.outer(angle, [1.0, 20.0, 0.0])).as_quat(scalar_first=True)
+    pose[kept[::2], 3:] *= -1.0  # the same orientation
+    full = drive_of(replace(whole, pose=pose), assembly.variables, "instrument")
+    courses = {name: getattr(whole, name)[kept] for name in ("lines", "time", "force_vector")}
+    drive = drive_of(replace(whole, pose=pose[kept], **courses), assembly.variables, "instrument")
+    assert (drive.step, drive.inputs.shape) == (pytest.approx(1e-3), full.inputs.shape)
+    assert drive.measured.tolist() == whole.force_vector[kept].ravel().tolist()
+    for of in (lambda d: SceneForce(assembly, "instrument", d, NAMES), lambda d: FmuForce(fmu, "instrument", d, NAMES)):
+        alone, both = of([full]), of([drive, full])
+        for found, all_rows in ((both.values(TRUTH), alone.values(TRUTH)), (both.slopes(TRUTH), alone.slopes(TRUTH))):
+            rows = all_rows.reshape(STEPS + 1, -1)
+            expected = np.concatenate([rows[kept].reshape(-1, *all_rows.shape[1:]), all_rows])
+            assert found == pytest.approx(expected, rel=1e-6, abs=1e-9 * abs(expected).max())
+
+
+@pytest.mark.parametrize("treatment", [[], ["resample=1000"]])
+def test_a_faulty_row_does_not_stop_a_fit_of_the_whole_model(fmu, tmp_path, treatment):
+    recording = recorded(fmu, values=(2e7, 1e4, 7e4))
+    rows = np.concatenate([poses()[:, :4], recording.force_vector], axis=1)
+    rows[GONE, 3] = np.nan
+    file, scene_file = tmp_path / "measured.csv", tmp_path / "scene.toml"
+    np.savetxt(file, rows, delimiter=",", header="time_s,x_m,y_m,z_m,fx_N,fy_N,fz_N", comments="")
+    scene_file.write_bytes(SCENE)
+    wanted = ["tissue.supportStiffness"]
+    result = fit_data(
+        Request([file], tmp_path / "out", treatment=treatment, scene=scene_file, parameters=wanted, progress=False)
+    )
+    # Tremble and curve of the press are missing for three samples.
+    assert result.parameters == pytest.approx({"tissue.supportStiffness": 7e4}, rel=0.01)
+    assert (result.samples, len(result.excluded)) == (STEPS + 1 - len(GONE), len(GONE))
+    assert any(note.startswith("3 samples are missing") for note in result.notes)
+
+
 def test_what_cannot_be_rolled_out_is_refused(assembly):
     pose = poses()
     recording = Recording("a", "", "x.csv", np.arange(STEPS + 1), time=pose[:, 0], pose=pose[:, 1:])
@@ -270,15 +314,20 @@ def test_an_fmu_alone_is_fitted_by_the_command(fmu, tmp_path):
     assert found == pytest.approx({"tissue.supportStiffness": 7e4}, rel=1e-5)
 
 
-def test_an_interrupted_fit_says_what_it_kept_and_goes_on_there(assembly, tmp_path, monkeypatch):
+@pytest.fixture
+def unfelt(tmp_path):
+    """A short fit to a force of 0."""
     file = tmp_path / "measured.csv"
     scene_file = tmp_path / "scene.toml"
     scene_file.write_bytes(SCENE)
     rows = np.concatenate([poses()[:40, :4], np.zeros((40, 3))], axis=1)
     np.savetxt(file, rows, delimiter=",", header="time_s,x_m,y_m,z_m,fx_N,fy_N,fz_N", comments="")
-    request = Request(
+    return Request(
         [file], tmp_path / "out", scene=scene_file, parameters=["tissue.supportStiffness"], starts=3, progress=False
     )
+
+
+def test_an_interrupted_fit_says_what_it_kept_and_goes_on_there(unfelt, monkeypatch):
     done = []
 
     def stopping(task):
@@ -290,10 +339,21 @@ def test_an_interrupted_fit_says_what_it_kept_and_goes_on_there(assembly, tmp_pa
     from_start = scene_fit._from_start
     monkeypatch.setattr(scene_fit, "_from_start", stopping)
     with pytest.raises(Interrupted, match=r"Kept what is finished in .*starts\.json: the same command goes on there"):
-        fit_data(request)
-    assert len(json.loads((tmp_path / "out" / "starts.json").read_text())["done"]) == 2
-    assert [p.name for p in (tmp_path / "out").iterdir()] == ["starts.json"]
+        fit_data(unfelt)
+    assert len(json.loads((unfelt.output / "starts.json").read_text())["done"]) == 2
+    assert [p.name for p in unfelt.output.iterdir()] == ["starts.json"]
     done.clear()
-    fit_data(request)
+    fit_data(unfelt)
     assert len(done) == 1
-    assert not (tmp_path / "out" / "starts.json").exists()
+    assert not (unfelt.output / "starts.json").exists()
+
+
+def test_an_interrupted_fit_does_not_take_what_another_kept_for_its_own(unfelt, monkeypatch):
+    def stopping(task):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(scene_fit, "_from_start", stopping)
+    unfelt.output.mkdir()
+    (unfelt.output / "starts.json").write_text('{"problem": "another", "done": {"start": 1}}')
+    with pytest.raises(Interrupted, match="Nothing kept"):
+        fit_data(unfelt)

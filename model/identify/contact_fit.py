@@ -157,6 +157,9 @@ def check_options(options: Options) -> None:
         if not own.minimum <= low <= high <= own.maximum:
             rule = f"{name} must lie between {own.minimum:g} and {own.maximum:g} {own.unit}, the least first"
             raise InputError(option, rule, f"{low:g}" if low == high else f"{low:g}:{high:g}", "Choose within")
+        if low == high and option == "--bounds":
+            way_out = f"Give --fix {name}={low:g} to hold it there"
+            raise InputError(option, f"the least of {name} must be below the greatest", f"{low:g}:{high:g}", way_out)
 
 
 def fit_laws(
@@ -228,7 +231,7 @@ def _folds(probes: Sequence[Probe], options: Options) -> list[tuple[tuple[Touche
     """What is fitted and what is held out: probes by turns, or with one probe stretches of its samples."""
     if len(probes) == 1:
         touches, force = probes[0].touches, probes[0].force.reshape(probes[0].touches.samples, -1)
-        parts = np.array_split(np.arange(touches.samples), min(options.folds, touches.samples // SMALLEST))
+        parts = np.array_split(np.arange(touches.samples), max(1, min(options.folds, touches.samples // SMALLEST)))
         if len(parts) < 2:
             return []
         rest = [np.setdiff1d(np.arange(touches.samples), part) for part in parts]

@@ -5,16 +5,19 @@ casadi function of either, with exact or differenced derivatives, for use inside
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation, Slerp
 
 from tissue_contact.assembly import Assembly, start_values
 from tissue_contact.errors import InputError
 from tissue_contact.identify.recording import Real, Recording
 from tissue_contact.identify.sensitivity import sensitivities
+from tissue_contact.identify.treatment import MOST
 from tissue_contact.settings import nearest
 from tissue_contact.simulate import rollout
 from tissue_contact.variables import Variable
@@ -28,7 +31,8 @@ class Drive:
 
     inputs: Real  # shape [n + 1, inputs], as `simulate.rollout` takes them
     step: float  # [s]
-    measured: Real  # [N], shape [(n + 1) · 3], force vectors
+    measured: Real  # [N], shape [m · 3], force vectors
+    at: npt.NDArray[np.int64] | slice = field(default_factory=lambda: slice(None))  # the m rows where it was measured
 
 
 class ForceModel(Protocol):
@@ -69,22 +73,31 @@ def instrument_of(variables: Sequence[Variable], name: str | None) -> str:
 
 
 def drive_of(recording: Recording, variables: Sequence[Variable], instrument: str) -> Drive:
-    """The inputs of a rollout that follows a recording of poses and force vectors, one step a sample."""
+    """The inputs of a rollout that follows a recording of poses and force vectors, one step a sample.
+
+    Where samples are missing between even stamps, the instrument goes on evenly from one to the next.
+    """
     place = f"{recording.place}, probe {recording.name}"
     if recording.pose is None or recording.force_vector is None or recording.time is None:
         have = [k for k in ("time", "pose", "force_vector") if getattr(recording, k) is not None]
         rule = "a fit of the whole model needs time, pose and force vector"
         raise InputError(place, rule, " and ".join(have) or "none of them", "Give columns for all three")
     steps = np.diff(recording.time)
-    step = float(steps.mean())
-    if np.abs(steps - step).max() > EVEN * step:
+    counts = np.fmax(1.0, np.rint(steps / np.median(steps)))
+    at = np.append(0, counts.cumsum()).astype(np.int64)
+    step = float(recording.time[-1] - recording.time[0]) / at[-1]
+    if np.abs(steps - counts * step).max() > EVEN * step or at[-1] > MOST:
         found = f"steps from {steps.min():g} to {steps.max():g} s"
         raise InputError(place, "a rollout needs even time stamps", found, "Set resample in [treatment]")
     (first,) = [v.slot for v in variables if v.name == f"{instrument}.position[1]"]
     still = start_values(sum(v.block == "inputs" for v in variables), tuple(variables), "inputs")
-    inputs = np.tile(still, (len(recording), 1))
-    inputs[:, first : first + 7] = recording.pose
-    return Drive(inputs, step, recording.force_vector.ravel())
+    rows = np.arange(at[-1] + 1)
+    inputs = np.tile(still, (len(rows), 1))
+    pose = recording.pose
+    inputs[:, first : first + 3] = np.transpose([np.interp(rows, at, x) for x in pose[:, :3].T])
+    turns = Slerp(at, Rotation.from_quat(pose[:, 3:], scalar_first=True))(rows)
+    inputs[:, first + 3 : first + 7] = turns.as_quat(scalar_first=True)
+    return Drive(inputs, step, recording.force_vector.ravel(), at)
 
 
 class SceneForce:
@@ -105,12 +118,13 @@ class SceneForce:
     def values(self, parameters: Real) -> Real:
         full = self._full(parameters)
         runs = [rollout(self._assembly, d.inputs, d.step, full).outputs for d in self._drives]
-        return np.concatenate([run[:, self._force].ravel() for run in runs])
+        return np.concatenate([run[d.at, self._force].ravel() for d, run in zip(self._drives, runs, strict=True)])
 
     def slopes(self, parameters: Real) -> Real:
         full = self._full(parameters)
         runs = [sensitivities(self._assembly, d.inputs, d.step, full, self._slots)[1] for d in self._drives]
-        return np.concatenate([by[:, self._force].reshape(-1, len(self._slots)) for by in runs])
+        parts = [by[d.at, self._force] for d, by in zip(self._drives, runs, strict=True)]
+        return np.concatenate([part.reshape(-1, len(self._slots)) for part in parts])
 
 
 @dataclass(frozen=True, eq=False)

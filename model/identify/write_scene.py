@@ -9,6 +9,7 @@ import tomlkit
 
 from tissue_contact.errors import InputError
 from tissue_contact.files import publish
+from tissue_contact.identify.laws import constants_of
 from tissue_contact.scene import Scene, parse_scene
 
 # Factors of the FMU on what the scene gives spring by spring.
@@ -18,10 +19,11 @@ SCALED = {
 }
 
 
-def write_scene(scene: Scene, parameters: Mapping[str, float], path: Path) -> None:
+def write_scene(scene: Scene, parameters: Mapping[str, float], path: Path, law: str | None = None) -> None:
     """Write ``scene`` with other values of the named FMU parameters to ``path``, whole or not at all.
 
-    Relative mesh paths stay as they are, so a scene with meshes is best written beside the old one.
+    ``law`` becomes that of the contacts among them; what only the other law takes is removed. Relative mesh paths stay
+    as they are, so a scene with meshes is best written beside the old one.
 
     Raises
     ------
@@ -40,6 +42,12 @@ def write_scene(scene: Scene, parameters: Mapping[str, float], path: Path) -> No
             )
         kind, i = found[0]
         table: Any = document[kind][i]  # type: ignore[index]
+        if law is not None and kind == "contact" and law != scene.contact[i].law:
+            contact = scene.contact[i]
+            old, new = ({c.name for c in constants_of(of, contact.is_field)} for of in (contact.law, law))
+            for left in old - new:
+                table.pop(left, None)
+            table["law"] = law
         key = re.sub("[A-Z]", lambda c: f"_{c[0].lower()}", parameter)
         if parameter in SCALED:
             for scaled in SCALED[parameter]:
