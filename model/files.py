@@ -28,7 +28,8 @@ def whole(path: Path) -> Iterator[BinaryIO]:
             Path(name).unlink(missing_ok=True)
             raise
     except OSError as error:
-        error.filename = str(path)
+        if error.errno is not None:  # else its text would be lost
+            error.filename = str(path)
         raise
 
 
