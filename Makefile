@@ -51,11 +51,10 @@ soak: $(STAMP) ## step without a pause through ten minutes of simulated time, in
 		--preset $(or $(PRESET),balanced)
 
 # OUTPUT=docs/data/roofline.json makes the page of the docs anew.
-# Straight code in vectors, as in the FMU; with a cache of its own, as numba's does not tell such kernels from others, and
-# a new one, as it does not notice either that what a kernel calls was changed.
+# Straight code in vectors, as in the FMU.
 roofline: warm-up ## measure how close a step is to what this machine can do, into build/roofline.json
-	@mkdir -p build && rm -rf build/roofline-kernels
-	NUMBA_SLP_VECTORIZE=1 NUMBA_CACHE_DIR=build/roofline-kernels \
+	@mkdir -p build
+	NUMBA_SLP_VECTORIZE=1 \
 		$(BIN)/python -m tissue_contact.scenarios.roofline --output $(or $(OUTPUT),build/roofline.json)
 	$(BIN)/python docs/generate.py
 
