@@ -17,7 +17,6 @@ from rich.console import Console
 
 from tissue_contact.assemble import assemble
 from tissue_contact.edits import Edit, edited
-from tissue_contact.errors import WorkError
 from tissue_contact.files import publish
 from tissue_contact.fmu.compile import shared_library
 from tissue_contact.pool import Kept, Spread, pool
@@ -25,7 +24,7 @@ from tissue_contact.presets import BEYOND_SPRINGS, OF_PROJECTIVE, PRESETS, Prese
 from tissue_contact.scenarios import bench
 from tissue_contact.scenarios.run import communication_points
 from tissue_contact.scenarios.scenario import read_scenario, shipped_names
-from tissue_contact.scenarios.trade import Job, follow, job_of, kept_of, point_of, rows_of, timed
+from tissue_contact.scenarios.trade import Job, check_references, follow, job_of, kept_of, point_of, rows_of, timed
 from tissue_contact.scene import Scene, parse_scene
 from tissue_contact.settings import check_word
 from tissue_contact.study import levers
@@ -116,9 +115,7 @@ def measured(case: Case, folder: Path, spread: Spread, say: Say) -> tuple[Kept, 
     jobs = [*reversed(truth), *(case.edited(c.keys) for c in case.candidates)]  # the longest first
     say(f"{case.name}: {len(jobs)} runs")
     done = kept.spread(spread, follow, jobs, [job.key for job in jobs], lambda: None)
-    for result in done[: len(truth)]:
-        if result["refusal"]:
-            raise WorkError(f"a reference of {case.name} was refused: {result['refusal']}. Name others by --scenarios")
+    check_references(done[: len(truth)], case.name, ". Name others by --scenarios")
     *finer, finest, fine = done[: len(truth)]
     true, steps = rows_of(finest), case.job.steps
     convergence = errors(rows_of(fine), true, steps)

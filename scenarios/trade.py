@@ -189,6 +189,13 @@ def _touched(trace: Trace, body: str) -> list[list[float]] | None:
     return [points.min(axis=0).tolist(), points.max(axis=0).tolist()] if len(points) else None
 
 
+def check_references(results: Sequence[Mapping[str, Any]], name: str, way_out: str = "") -> None:
+    """WorkError where a run that the others of a scenario are compared with was refused."""
+    for result in results:
+        if result["refusal"]:
+            raise WorkError(f"the reference of {name} was refused: {result['refusal']}{way_out}")
+
+
 def bodies_of(names: Sequence[str]) -> list[str]:
     """Names of the bodies among those of an FMU's outputs."""
     return [n.removesuffix(".depth") for n in names if n.endswith(".depth")]
@@ -326,9 +333,7 @@ class _Search:
         finer, finest = (replace(self._own, source=source) for source in sources)
         jobs = [finest, finer, *map(self.job, wanted)]  # the longest first
         found = self._follow(jobs, "the references and every change alone")
-        for result in found[:2]:
-            if result["refusal"]:
-                raise WorkError(f"the reference of {self.scenario.name} was refused: {result['refusal']}")
+        check_references(found[:2], self.scenario.name)
         self.true = rows_of(found[0])
         self.convergence = errors(rows_of(found[1]), self.true, finest.steps)
         self._check_touched(self.true)

@@ -52,10 +52,8 @@ def test_panels_hold_all_that_fills_in_and_every_spring(graph):
         assert (below == 4 * reached[reached >= last]).all(), "what any of its columns reaches, and nothing else"
         for at, row in enumerate(below):
             assert set(below[at:]) <= set(held[found.panel[row // 4]]), "what a panel changes has a place for it"
-    reached = [held[k][WIDTH:] // 4 for k in range(panels)]
-    for k in range(panels - 1, -1, -1):  # along the elimination tree
-        above = found.panel[reached[k][0]] if len(reached[k]) else None
-        assert found.depth[k] == width[k] + (0 if above is None else found.depth[above])
+    for depth, own, rows_of in zip(found.depth, width, held, strict=True):  # along the elimination tree
+        assert depth == own + sum(found.depth[found.panel[row // 4]] for row in rows_of[WIDTH : WIDTH + 1])
     for (i, j), entry in zip(found.place[springs], found.spring, strict=True):
         if max(i, j) == rows:
             assert entry == WIDTH * len(found.row)

@@ -210,12 +210,12 @@ def _keep(model, scratch, own, lane):
     panel = int(model.factor_panel[row])
     at = (own + 1) * longest - model.factor_depth[panel]
     while panel < panels:
+        scratch.path[panel] = 1
         for r in range(model.factor_column[panel], model.factor_column[panel + 1]):
             half[at] = scratch.unit_right[4 * r + lane] * math.sqrt(scratch.factor[diagonal(model, r)])
             at += 1
         panel = parent(model, panel)
     scratch.slot_new[own] = 0
-    mark_path(model, scratch, row)
     for other in range(slots):
         if scratch.slot_row[other] == rows or scratch.slot_new[other] == 1:
             continue
