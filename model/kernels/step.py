@@ -482,6 +482,8 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
             parts = _substeps(model, parameters, state, dt, SYMPLECTIC_EULER, scratch)
             if 0 < parts * substeps <= model.substeps_max[0]:
                 scheme, n, substeps, dt = SYMPLECTIC_EULER, n * parts, substeps * parts, dt / parts
+            elif 2 * substeps <= model.substeps_max[0]:
+                n, substeps, dt = 2 * n, 2 * substeps, 0.5 * dt
             else:
                 longest = 0.0  # rather as before than not at all
             continue
