@@ -130,6 +130,7 @@ class Soak(NamedTuple):
     faults: np.ndarray  # pages that were not there
     processor_ns: np.ndarray  # processor time: of the wall time what nobody else had of the core, ns
     locked: bool  # the memory was, so that no page may go
+    outputs: np.ndarray  # after the steps of the last repeat, shape [len(inputs), n_outputs] of float64
 
 
 def soak(fmu_path: Path, inputs: Real, h: float, repeats: int, core: int) -> Soak:
@@ -140,7 +141,8 @@ def soak(fmu_path: Path, inputs: Real, h: float, repeats: int, core: int) -> Soa
     result = np.frombuffer(_run(fmu_path, inputs, h, repeats=repeats, core=core), "<u8")
     steps = repeats * len(inputs)
     step_ns, preemptions, waits, faults, processor_ns = result[: 5 * steps].reshape(5, steps)
-    return Soak(step_ns, preemptions, waits, faults, processor_ns, bool(result[5 * steps]))
+    outputs = result[5 * steps + 1 :].view("<f8").reshape(len(inputs), -1)
+    return Soak(step_ns, preemptions, waits, faults, processor_ns, bool(result[5 * steps]), outputs)
 
 
 def _run(

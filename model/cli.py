@@ -87,7 +87,11 @@ def build(
     """Build the FMU of a scene."""
     from tissue_contact.edits import with_preset
     from tissue_contact.scene import read_scene
+    from tissue_contact.settings import check_file, nearest
 
+    if output.suffix != ".fmu":
+        raise InputError("--output", "the name of an FMU must end in .fmu", output, "Add the suffix")
+    check_file("--output", output)
     read = with_preset(read_scene(scene), preset)
     for remark in read.remarks:
         _tell(remark)
@@ -95,14 +99,11 @@ def build(
     from tissue_contact.fmu.build import build as build_fmu
     from tissue_contact.fmu.compile import ALL
     from tissue_contact.scenarios.report import still
-    from tissue_contact.settings import nearest
 
     for name in platform or []:
         if name not in ALL:
             way_out = nearest(name, ALL, what="platforms")
             raise InputError("--platform", "the platform must be a known one", name, way_out)
-    if output.suffix != ".fmu":
-        raise InputError("--output", "the name of an FMU must end in .fmu", output, "Add the suffix")
     assembly = assemble(read)
     _tell("drawing the scene")
     build_fmu(assembly, output, platforms=platform or ALL, picture=still(read), on_progress=_tell)
@@ -131,15 +132,18 @@ def run(
     """Run a scenario: CSV, figures and a summary. Exit code 1 when an expectation fails."""
     values = _assignments(set_ or [])
     from tissue_contact.scenarios.scenario import read_scenario
+    from tissue_contact.settings import check_folder
 
     read = read_scenario(scenario, preset)
+    folder = output or Path("build") / read.name
+    check_folder("--output", folder)
     if parameters is not None:
         from tissue_contact.identify.result import read_result
 
         values = read_result(parameters).parameters | values
     from tissue_contact.scenarios.run import run as run_scenario
 
-    outcome = run_scenario(read, output or Path("build") / read.name, values, progress, figures)
+    outcome = run_scenario(read, folder, values, progress, figures)
     if not outcome.holds:
         raise typer.Exit(1)
 
@@ -266,13 +270,16 @@ def trade(
     """Sweep what costs time and what errs in a scenario: table, CSV, figure and what to choose."""
     _check_measure(measure)
     from tissue_contact.scenarios.scenario import read_scenario
+    from tissue_contact.settings import check_folder
 
     read = read_scenario(scenario)
+    folder = output or Path("build") / f"{read.name}-trade"
+    check_folder("--output", folder)
     from tissue_contact.scenarios.trade import Request
     from tissue_contact.scenarios.trade import trade as trade_scenario
 
     request = Request(measure, runs, rounds, refine, workers, scheduler, progress)
-    trade_scenario(read, output or Path("build") / f"{read.name}-trade", request)
+    trade_scenario(read, folder, request)
 
 
 @_command("tissue-contact tune press --budget-us 200 -o fast.toml")
@@ -302,15 +309,19 @@ def tune(
     """Write the scene that is most accurate within a time, or fastest within an error."""
     _check_measure(measure)
     from tissue_contact.scenarios.scenario import read_scenario
+    from tissue_contact.settings import check_file, check_folder
 
+    check_file("--output", output)
     read = read_scenario(scenario)
+    folder = data or Path("build") / f"{read.name}-trade"
+    check_folder("--data", folder)
     from tissue_contact.scenarios.trade import Request
     from tissue_contact.scenarios.tune import Wish
     from tissue_contact.scenarios.tune import tune as tune_scenario
 
     wish = Wish.of(budget_us, error)
     request = Request(measure, runs, rounds, refine, workers, scheduler, progress)
-    tune_scenario(read, data or Path("build") / f"{read.name}-trade", request, wish, output, overwrite)
+    tune_scenario(read, folder, request, wish, output, overwrite)
 
 
 def _check_measure(measure: str) -> None:
@@ -376,7 +387,9 @@ def stability(
     when the automatic choice of substeps is unstable somewhere.
     """
     from tissue_contact.scene import read_scene
+    from tissue_contact.settings import check_folder
 
+    check_folder("--output", output)
     read = read_scene(scene)
     from tissue_contact.scenarios.stability import HapticRequest, MapRequest
     from tissue_contact.scenarios.stability import stability as study
@@ -419,7 +432,10 @@ def mesh(
 ) -> None:
     """Report on a mesh before and after repair. Exit code 1 when it suits neither tissue nor instrument."""
     from tissue_contact import geometry
+    from tissue_contact.settings import check_file
 
+    if repair is not None:
+        check_file("--repair", repair)
     raw = geometry.read(file, scale)
     mended, repairs = geometry.repair(raw)
     before, after = vars(geometry.inspect(raw)), vars(geometry.inspect(mended))

@@ -97,13 +97,19 @@ class Kept:
     def __init__(self, path: Path, problem: str) -> None:
         self.path, self._problem = path, problem
         self.done: dict[str, Any] = {}
+        self.remark = ""  # for the user, of what is there already
         if path.is_file():
             try:
                 kept = json.loads(path.read_bytes())
             except ValueError:
                 kept = {}
-            # Of another problem it says nothing.
-            self.done = kept.get("done", {}) if kept.get("problem") == problem else {}
+            found = kept.get("done", {})
+            if found and kept.get("problem") == problem:
+                self.done = found
+                self.remark = f"going on with {len(found)} finished tasks of {path}"
+            elif found:
+                why = "of another scene, with other options or of another version"
+                self.remark = f"{path} has {len(found)} finished tasks {why}: they say nothing here and are replaced"
 
     def spread(
         self, spread: Spread, work: Callable[[Any], Any], tasks: Sequence[Any], keys: Sequence[str],

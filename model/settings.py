@@ -132,6 +132,13 @@ def check_folder(option: str, path: Path) -> None:
             raise InputError(option, "results need a folder", f"the file {part}", "Name another, which may be new")
 
 
+def check_file(option: str, path: Path) -> None:
+    """InputError where a file of results cannot be, as there is a folder, or a file where its folder should be."""
+    if path.is_dir():
+        raise InputError(option, "the result is a file", f"the folder {path}", "Name a file in it")
+    check_folder(option, path.parent)
+
+
 def parse_toml(source: bytes, place: str) -> dict[str, Any]:
     """Content of a TOML file; InputError with the line where it is not TOML."""
     rule, way_out = "the file must be TOML", "Mend the syntax there"

@@ -30,7 +30,7 @@ from tissue_contact.pool import Kept, Spread, pool, problem_of
 from tissue_contact.scenarios.fmu_force import FmuMaker, variables_of
 from tissue_contact.scenarios.run import bar_of, interrupted
 from tissue_contact.scene import Scene, read_scene
-from tissue_contact.settings import check_folder, validate
+from tissue_contact.settings import check_file, check_folder, validate
 from tissue_contact.table import camel
 from tissue_contact.variables import Variable
 
@@ -119,7 +119,8 @@ def fit(request: Request) -> Result:
     write_result(result, request.output / "result.json")
     write_report(result, _curves(reading, found), request.output / "report.html")
     publish(request.output / "fitted.csv", _table(reading, found).encode())
-    kept.unlink(missing_ok=True)
+    if request.parameters:
+        kept.unlink(missing_ok=True)
     out = Console()
     out.print(summary(result))
 
@@ -166,8 +167,6 @@ def _check(request: Request) -> None:
          "the scene says what the tip is like", "--scene as well", "Leave one of the two out"),
         (request.write_scene is not None and request.scene is None, "--write-scene",
          "there must be a scene to store in", request.write_scene, "Give --scene SCENE"),
-        (request.write_scene is not None and request.write_scene.is_dir(), "--write-scene", "a scene is a file",
-         f"the folder {request.write_scene}", "Name a file in it, for instance fitted.toml"),
         (bool(request.grid) and not whole, "--grid", "a grid is for a fit of the whole model", ", ".join(request.grid),
          "Name what to fit with --parameter"),
         (whole and tuple(request.laws) != tuple(LAWS), "--law", "the scene or the FMU says what the law is",
@@ -180,7 +179,7 @@ def _check(request: Request) -> None:
             raise InputError(place, rule, value, way_out)
     check_folder("--output", request.output)
     if request.write_scene is not None:
-        check_folder("--write-scene", request.write_scene.parent)
+        check_file("--write-scene", request.write_scene)
 
 
 # --- the law alone ----------------------------------------------------------------------------------------
@@ -279,8 +278,8 @@ def _whole_model(
         *[part for d in drives for part in (d.inputs, d.measured, d.step, d.at)],
     )  # fmt: skip
     store = Kept(kept, problem)
-    if store.done:
-        console.print(f"going on with {len(store.done)} finished tasks of {kept}", highlight=False, markup=False)
+    if store.remark:
+        console.print(store.remark, highlight=False, markup=False, soft_wrap=True)
     start = np.array([v.start for v in wanted])
     try:
         found = fit_scene(

@@ -155,9 +155,8 @@ class _Runner:
     console: Console
 
     def run(self, text: str, work: Any, tasks: Sequence[Any], keys: Sequence[str]) -> list[Any]:
-        if self.kept.done:
-            said = f"going on with {len(self.kept.done)} finished tasks of {self.kept.path}"
-            self.console.print(said, highlight=False, markup=False)
+        if self.kept.remark:
+            self.console.print(self.kept.remark, highlight=False, markup=False, soft_wrap=True)
         task = self.bar.add_task(f"{text} (the first time compiles for minutes)", total=len(tasks))
         return self.kept.spread(self.spread, work, tasks, keys, lambda: self.bar.advance(task))
 

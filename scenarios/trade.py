@@ -270,8 +270,8 @@ def measured(scenario: Scenario, folder: Path, request: Request) -> Measured:
     assembly = assemble(scenario.scene)  # a wrong scene is told before anything is compiled
     known = levers.grounds(scenario.scene, assembly.model.contact_reach)
     kept = kept_of(scenario.scene, job_of(scenario, b""), folder / KEPT)
-    if kept.done:
-        console.print(f"going on with what {kept.path} keeps", highlight=False, markup=False)
+    if kept.remark:
+        console.print(kept.remark, highlight=False, markup=False, soft_wrap=True)
     try:
         with bar_of(console, request.progress) as bar:
             task = bar.add_task("", total=0)

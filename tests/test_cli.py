@@ -129,18 +129,34 @@ def organ(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("words", "place"),
     [
-        ("mesh organ.stl --repair organ.stl/x.stl", "organ.stl/x.stl"),
-        ("mesh organ.stl --repair tiny", "tiny"),
+        (f"mesh organ.stl --repair {300 * 'x'}", 300 * "x"),
         (f"check {300 * 'x'}", 300 * "x"),
         ("run press --parameters tiny", "tiny"),
         ("run press --parameters organ.stl/x", "organ.stl/x"),
-        ("stability tiny/scene.toml --grid 2 -o organ.stl", "organ.stl/stability-kept.json"),
     ],
 )
-def test_a_path_that_cannot_be_used_is_2_in_one_line(words, place, folder, organ, monkeypatch):
-    monkeypatch.setattr("tissue_contact.scenarios.stability.try_row", lambda row: [])
+def test_a_path_that_cannot_be_used_is_2_in_one_line(words, place, folder, organ):
     said = refused(*words.split(), cwd=folder.parent)
     assert said.startswith(f"tissue-contact: {place}: it must be possible to read or write it; found ")
+    assert sorted(p.name for p in folder.parent.iterdir()) == ["organ.stl", "tiny"]
+
+
+@pytest.mark.parametrize(
+    ("words", "option", "found"),
+    [
+        ("build tiny/scene.toml -o organ.stl/x.fmu", "--output", "file organ.stl"),
+        ("run tiny -o organ.stl", "--output", "file organ.stl"),
+        ("trade tiny -o organ.stl/deeper", "--output", "file organ.stl"),
+        ("tune tiny --error 1% -o tiny", "--output", "folder tiny"),
+        ("tune tiny --error 1% -o x.toml --data organ.stl", "--data", "file organ.stl"),
+        ("stability tiny/scene.toml -o organ.stl", "--output", "file organ.stl"),
+        ("mesh none.stl --repair organ.stl/x.stl", "--repair", "file organ.stl"),
+    ],
+)
+def test_where_results_cannot_be_is_told_before_the_work(words, option, found, folder, organ):
+    rule = "results need a folder" if found.startswith("file") else "the result is a file"
+    said = refused(*words.split(), cwd=folder.parent)
+    assert said.startswith(f"tissue-contact: {option}: {rule}; found the {found}. ")
     assert sorted(p.name for p in folder.parent.iterdir()) == ["organ.stl", "tiny"]
 
 

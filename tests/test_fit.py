@@ -287,6 +287,14 @@ def test_a_scene_is_written_with_the_law_that_was_chosen(of_another_law):
     assert {key: getattr(contact, key) for key in OWN[other]} == pytest.approx(OWN[other], rel=1e-5)
 
 
+def test_a_fit_of_a_law_leaves_what_one_of_a_model_has_kept(of_another_law):
+    request, _ = of_another_law
+    request.output.mkdir()
+    (request.output / "starts.json").write_text("{}")
+    fit_data(request)
+    assert (request.output / "starts.json").read_text() == "{}"
+
+
 def test_a_result_is_there_also_where_the_scene_cannot_be_written(of_another_law, monkeypatch):
     def refusing(*given):
         raise InputError("new.toml", "a scene must be right", "another", "Mend it")
@@ -339,7 +347,7 @@ def test_depths_alone_give_a_law_and_no_damper(depths, tmp_path):
         (["-o", "depths.csv"], "--output: results need a folder; found the file depths.csv"),
         (["-o", "depths.csv/out"], "found the file depths.csv"),
         (["--scene", "x.toml", "--write-scene", "depths.csv/x.toml"], "--write-scene: results need a folder"),
-        (["--scene", "x.toml", "--write-scene", "."], "--write-scene: a scene is a file; found the folder ."),
+        (["--scene", "x.toml", "--write-scene", "."], "--write-scene: the result is a file; found the folder ."),
     ],
 )
 def test_wrong_words_get_one_line_and_no_file(depths, tmp_path, monkeypatch, words, told):

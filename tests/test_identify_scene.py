@@ -348,7 +348,7 @@ def test_an_interrupted_fit_says_what_it_kept_and_goes_on_there(unfelt, monkeypa
     assert not (unfelt.output / "starts.json").exists()
 
 
-def test_an_interrupted_fit_does_not_take_what_another_kept_for_its_own(unfelt, monkeypatch):
+def test_an_interrupted_fit_does_not_take_what_another_kept_for_its_own(unfelt, monkeypatch, capsys):
     def stopping(task):
         raise KeyboardInterrupt
 
@@ -357,3 +357,4 @@ def test_an_interrupted_fit_does_not_take_what_another_kept_for_its_own(unfelt, 
     (unfelt.output / "starts.json").write_text('{"problem": "another", "done": {"start": 1}}')
     with pytest.raises(Interrupted, match="Nothing kept"):
         fit_data(unfelt)
+    assert f"{unfelt.output / 'starts.json'} has 1 finished tasks of another scene" in capsys.readouterr().err

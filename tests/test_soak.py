@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from fmu_fixture import tiny_fmu
 
+from tissue_contact.errors import WorkError
 from tissue_contact.fmu import native
 from tissue_contact.fmu.native import Soak, soak
 from tissue_contact.scenarios.soak import figures, stolen, there_and_back
@@ -13,24 +14,38 @@ from tissue_contact.scenarios.soak import figures, stolen, there_and_back
 LINUX = pytest.mark.skipif(native.host_platform() != "linux64", reason="needs Linux on x86-64")
 
 
+def round_of(ns, held_up, processor, outputs=(1.0, 2.0)):
+    """A round of the steps with the given times, held up as given."""
+    return Soak(np.asarray(ns, float), *held_up, np.asarray(processor, float), True, np.array([outputs]))
+
+
 def test_late_steps_are_told_by_what_held_them_up():
-    """Three places, five repeats; the third place is always late, and so are three steps more."""
-    ns = np.array([[1e5, 2e5, 1.5e6]] * 5)
-    held_up = np.zeros((3, 5, 3), int)
-    ns[0, 0] = ns[1, 1] = ns[2, 0] = 3e6
-    held_up[0, 0, 0], held_up[2, 1, 1], held_up[1, 3, 1] = 1, 2, 5  # the last held up a step that was in time
-    processor = np.minimum(ns, 1.2e6)
-    processor[0, 0] = 1e5  # of a step that was preempted
-    told = figures(Soak(ns.ravel(), *held_up.reshape(3, -1), processor.ravel(), locked=True), places=3)
-    assert told["steps"] == 15 and told["steps over 1 ms"] == 8
+    """Two rounds of six steps; the last step is late in both, and so are three more in one of them."""
+    first, second = np.full(6, 1e5), np.full(6, 2e5)
+    first[[0, 1, 5]], second[[2, 5]] = 3e6, 1.5e6
+    held_up = np.zeros((2, 3, 6), int)  # preempted, waiting, page faults
+    held_up[0, 0, 0], held_up[1, 2, 2], held_up[0, 1, 3] = 1, 2, 5  # the last held up a step that was in time
+    processor = np.minimum(first, 1.2e6)
+    processor[0] = 1e5  # of a step that was preempted
+    told = figures([round_of(first, held_up[0], processor), round_of(second, held_up[1], second)])
+    assert told["rounds"] == 2 and told["steps a round"] == 6
+    assert told["steps over 1 ms"] == 5
     assert told["of them preempted"] == told["of them with a page fault"] == 1
     assert told["of them waiting"] == 0
-    assert told["of them none of these"] == 6
-    assert told["of them at places that take over 1 ms at their median"] == 5
-    assert told["slowest place of the motion, median over the repeats"] == 1500.0
+    assert told["of them none of these"] == 3
+    assert told["steps over 1 ms in every round"] == 1
+    assert told["step in its fastest round"]["maximum"] == 1500.0
+    assert told["step in its fastest round"]["median"] == 150.0  # of 100, 100, 100, 200, 200 and 1500
     assert told["step"]["maximum"] == 3000.0
-    assert told["processor time of a step"]["maximum"] == 1200.0
-    assert told["steps over 1 ms of processor time"] == 7
+    assert told["processor time of a step"]["maximum"] == 1500.0
+    assert told["steps over 1 ms of processor time"] == 4
+
+
+def test_rounds_that_are_not_the_same_work_are_not_compared():
+    held_up = np.zeros((3, 2), int)
+    rounds = [round_of([1e5, 1e5], held_up, [1e5, 1e5], outputs) for outputs in ((1.0, 2.0), (1.0, 2.0 + 1e-15))]
+    with pytest.raises(WorkError, match="differ in their outputs"):
+        figures(rounds)
 
 
 def test_the_motion_goes_on_where_it_ends():
@@ -50,6 +65,7 @@ def test_a_long_run_tells_what_held_it_up(tmp_path):
     assert all(column.shape == (3000,) for column in ran[:5])
     assert (ran.step_ns > 0).all()
     assert max(column.max() for column in ran[1:4]) < 1e6  # differences, not sums since the start
-    assert figures(ran, len(inputs))["steps"] == 3000
+    assert len(ran.outputs) == len(inputs) and np.isfinite(ran.outputs).all()
+    assert figures([ran, ran])["steps a round"] == 3000
     # Beside the wall time of a step it has that of reading what held it up.
     assert (ran.processor_ns > 0).all() and np.median(ran.processor_ns) < np.median(ran.step_ns) + 2e4
