@@ -362,7 +362,7 @@ def _state(scene: Scene, model: Model, sizes: Sizes) -> State:
     each = {
         **dict.fromkeys(("pairs", "rejected", "touches", "regions", "near_count", "touch_load", "deepest"), contacts),
         **dict.fromkeys(("since_detection", "dissipated", "work", "stored", "energy_start"), 1),
-        **dict.fromkeys(("put_in", "gained", "returned", "found"), 1),
+        **dict.fromkeys(("put_in", "gained", "returned", "found", "resolved"), 1),
         **dict.fromkeys(("crush", "tissue_speed"), len(scene.tissue)),
         **dict.fromkeys(("closed", "held", "held_area"), holds),
         "side": model.contact_side_start[-1],

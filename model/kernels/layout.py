@@ -214,6 +214,7 @@ class State(NamedTuple):
     put_in: Real  # [J], shape [1], stored at the start, and put in by bodies, gravity and changed parameters since
     gained: Real  # [J], shape [1], from nowhere since the start, what dampers gave included
     returned: Real  # [J], shape [1], negative work of the bodies since the start
+    resolved: Real  # [1], shape [1], 1 where the last step ended with symplectic Euler, as motion was too fast
     found: Real  # [J], shape [1], the most that one late detection usually finds, since the start
 
 

@@ -68,6 +68,7 @@ INPUT_MAX = 1e6  # [m, 1] size of an input: beyond any scene, and no square or p
 PLACE_MAX = 1e6  # [m] sum of the coordinates of a vertex
 STEP_MIN, STEP_MAX = 1e-100, 1e6  # [s] between them no speed overflows and no time is lost
 SWING = 10.0  # symplectic Euler at the share s of its stable limit lets the energy of a motion swing by 1 / (1 - s²)
+CALM = 0.2  # of the way in a substep above which motion is resolved: once it is, that below which it no longer is
 UNEXPLAINED = 0.01  # of what was put in that the bodies may get back without it: errors of the schemes
 ROUNDING = 1e-12  # of the energies that a balance is the difference of, and [J], that rounding may gain
 
@@ -428,6 +429,7 @@ def initialize(model, parameters, state, inputs, outputs, scratch):
     state.gained[0] = 0.0
     state.returned[0] = 0.0
     state.found[0] = 0.0
+    state.resolved[0] = 0.0
     outputs[BODY_OUTPUTS * (state.pose.size // POSE) + ENERGY_BALANCE] = 0.0
     return _check_outputs(outputs, scratch)
 
@@ -476,9 +478,12 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
         return SUBSTEP_BUDGET
     scratch.loss[:] = 0.0
     dt, n, done, untold = h / substeps, 0, 0, 0.0
+    # What symplectic Euler leaves swinging would be sudden motion to the step after it.
+    fast = state.resolved[0] > 0.0 and _greatest_speed(state.vx, state.vy, state.vz) * dt > CALM * longest
     while n < substeps:
         untold = dt if n + 1 == substeps and _is_told_by_outputs(model, scheme) else 0.0
-        if not _substep(model, parameters, state, scratch, scheme, n * dt, dt, longest, untold):
+        if fast or not _substep(model, parameters, state, scratch, scheme, n * dt, dt, longest, untold):
+            fast = False
             parts = _substeps(model, parameters, state, dt, SYMPLECTIC_EULER, scratch)
             if 0 < parts * substeps <= model.substeps_max[0]:
                 scheme, n, substeps, dt = SYMPLECTIC_EULER, n * parts, substeps * parts, dt / parts
@@ -521,6 +526,7 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
     if status != OK:
         return status
     state.stored[0] = stored
+    state.resolved[0] = 1.0 if scheme != model.integrator[0] else 0.0
     status = _check_outputs(outputs, scratch)
     if status == OK:
         _settle(state, scratch)
