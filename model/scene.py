@@ -454,8 +454,8 @@ class Solver(Settings):
         0,
         1,
         "way of a vertex in a substep of projective_dynamics above which the rest of the communication step is made by "
-        "symplectic_euler, or over max_substeps by half as long ones, as where its way changes by two fifths of that; "
-        "0 for never, as where substeps is given",
+        "symplectic_euler, or over max_substeps by half as long ones, as where its way changes by two fifths of that, "
+        "and the steps after it until no vertex goes a fifth of it; 0 for never, as where substeps is given",
         0.0,
     )
     energy_gain: float = quantity(

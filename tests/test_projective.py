@@ -378,7 +378,7 @@ def test_what_is_slow_is_not_resolved():
 
 
 def test_motion_that_is_too_fast_is_resolved_until_it_is_calm():
-    """Else what symplectic Euler leaves swinging is sudden motion to the step after it, and energy comes from nowhere."""
+    """Else what symplectic Euler leaves swinging is sudden motion to the step after it."""
     force, balance = vector(scene(), "instrument.force"), index(scene(), "energy.balance")
     path = np.concatenate([pressed(100), *2 * [pressed(100)[1:]]])
     exact = rollout(scene("symplectic_euler", solver="safety = 0.1", preload=0), path, 1e-3).outputs[:, force]
