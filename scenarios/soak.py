@@ -9,7 +9,7 @@ import json
 import os
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -112,7 +112,7 @@ def main(
     preset: str = "balanced",
     level: str = bench.COMPARED,
     seconds: float = 600.0,
-    rounds: int = 3,
+    rounds: Annotated[int, typer.Option(min=1)] = 3,
     core: int | None = None,
 ) -> None:
     """Run, print and keep the figures. Without a core: the last one that this process may use."""
