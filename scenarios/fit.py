@@ -28,7 +28,7 @@ from tissue_contact.identify.treatment import Treatment
 from tissue_contact.identify.write_scene import write_scene
 from tissue_contact.pool import Kept, Spread, pool, problem_of
 from tissue_contact.scenarios.fmu_force import FmuMaker, variables_of
-from tissue_contact.scenarios.run import bar_of, interrupted
+from tissue_contact.scenarios.run import bar_of, interrupted, tell_kept
 from tissue_contact.scene import Scene, read_scene
 from tissue_contact.settings import check_file, check_folder, validate
 from tissue_contact.table import camel
@@ -278,8 +278,7 @@ def _whole_model(
         *[part for d in drives for part in (d.inputs, d.measured, d.step, d.at)],
     )  # fmt: skip
     store = Kept(kept, problem)
-    if store.remark:
-        console.print(store.remark, highlight=False, markup=False, soft_wrap=True)
+    tell_kept(console, store)
     start = np.array([v.start for v in wanted])
     try:
         found = fit_scene(
@@ -294,7 +293,7 @@ def _whole_model(
             lambda: bar.advance(task),
         )
     except KeyboardInterrupt as error:
-        raise interrupted(kept, bool(store.done)) from error
+        raise interrupted(store) from error
     if found.grid is not None:
         publish(request.output / "grid.csv", _grid_table(wanted, found).encode())
     values = {e.name: e.value for e in found.fitted.estimates if e.value is not None}

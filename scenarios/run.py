@@ -26,6 +26,7 @@ from tissue_contact.assemble import assemble
 from tissue_contact.assembly import Assembly
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.fmu.build import build
+from tissue_contact.pool import Kept
 from tissue_contact.scenarios.outcome import (
     FloatArray,
     Summary,
@@ -47,9 +48,15 @@ class Interrupted(KeyboardInterrupt):
     """The user stopped a run; the message says what was kept."""
 
 
-def interrupted(kept: Path, there: bool) -> Interrupted:
-    """What to raise when the user stops work that goes on from a file, if anything is there."""
-    said = f"Kept what is finished in {kept}: the same command goes on there" if there else "Nothing kept"
+def tell_kept(console: Console, kept: Kept) -> None:
+    """Tell what is kept already, or was of other work, if anything."""
+    if kept.remark:
+        console.print(kept.remark, highlight=False, markup=False, soft_wrap=True)
+
+
+def interrupted(kept: Kept) -> Interrupted:
+    """What to raise when the user stops work of which a file keeps what is finished, if anything."""
+    said = f"Kept what is finished in {kept.path}: the same command goes on there" if kept.done else "Nothing kept"
     return Interrupted(f"interrupted. {said}")
 
 

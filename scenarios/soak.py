@@ -14,7 +14,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 from tissue_contact.errors import InputError, WorkError
@@ -22,6 +21,7 @@ from tissue_contact.files import publish
 from tissue_contact.fmu.native import Soak, soak
 from tissue_contact.kernels.layout import Real
 from tissue_contact.scenarios import bench
+from tissue_contact.scenarios.run import bar_of
 
 LIMIT = 1e6  # ns, real time at a step of 1 ms
 PERCENTILES = {"median": 50, "p99": 99, "p99.9": 99.9, "p99.99": 99.99, "maximum": 100}
@@ -87,10 +87,8 @@ def measure(preset: str, level: str, repeats: int, rounds: int, core: int) -> di
         folder = Path(name)
         _, fmu = bench.built(bench.on_sheet(bench.write_sheet(level, folder), bench.PRESET.format(preset)), folder)
         before = stolen(core)
-        ran = [
-            soak(fmu, path, bench.STEP, repeats, core)
-            for _ in track(range(rounds), "rounds", console=Console(stderr=True))
-        ]
+        with bar_of(Console(stderr=True), wanted=True) as bar:
+            ran = [soak(fmu, path, bench.STEP, repeats, core) for _ in bar.track(range(rounds), description="rounds")]
         lost = stolen(core) - before
     scene = {"preset": preset, "level": level, "core": core}
     seconds = sum(float(one.step_ns.sum()) for one in ran) / 1e9

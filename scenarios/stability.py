@@ -26,7 +26,7 @@ from tissue_contact.files import publish
 from tissue_contact.kernels.layout import Real
 from tissue_contact.pool import Kept, Spread, pool, problem_of
 from tissue_contact.scenarios.report import png
-from tissue_contact.scenarios.run import bar_of, interrupted, scene_key
+from tissue_contact.scenarios.run import bar_of, interrupted, scene_key, tell_kept
 from tissue_contact.scene import Contact, FixedBox, Scene, Solver, Tissue
 from tissue_contact.settings import check_word, nearest, setting
 from tissue_contact.simulate import Instance
@@ -140,7 +140,7 @@ def stability(request: MapRequest | HapticRequest) -> bool:
             publish(request.output / name, content)
             out.print(f"wrote {request.output / name}", highlight=False, markup=False, soft_wrap=True)
     except KeyboardInterrupt as error:
-        raise interrupted(kept.path, bool(kept.done)) from error
+        raise interrupted(kept) from error
     kept.path.unlink(missing_ok=True)
     return holds
 
@@ -155,8 +155,7 @@ class _Runner:
     console: Console
 
     def run(self, text: str, work: Any, tasks: Sequence[Any], keys: Sequence[str]) -> list[Any]:
-        if self.kept.remark:
-            self.console.print(self.kept.remark, highlight=False, markup=False, soft_wrap=True)
+        tell_kept(self.console, self.kept)
         task = self.bar.add_task(f"{text} (the first time compiles for minutes)", total=len(tasks))
         return self.kept.spread(self.spread, work, tasks, keys, lambda: self.bar.advance(task))
 

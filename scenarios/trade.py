@@ -32,6 +32,7 @@ from tissue_contact.scenarios.run import (
     instance_of,
     interrupted,
     scene_key,
+    tell_kept,
 )
 from tissue_contact.scenarios.scenario import Expectation, Scenario
 from tissue_contact.scene import Scene, parse_scene
@@ -270,8 +271,7 @@ def measured(scenario: Scenario, folder: Path, request: Request) -> Measured:
     assembly = assemble(scenario.scene)  # a wrong scene is told before anything is compiled
     known = levers.grounds(scenario.scene, assembly.model.contact_reach)
     kept = kept_of(scenario.scene, job_of(scenario, b""), folder / KEPT)
-    if kept.remark:
-        console.print(kept.remark, highlight=False, markup=False, soft_wrap=True)
+    tell_kept(console, kept)
     try:
         with bar_of(console, request.progress) as bar:
             task = bar.add_task("", total=0)
@@ -293,7 +293,7 @@ def measured(scenario: Scenario, folder: Path, request: Request) -> Measured:
             more(request.rounds * len(jobs), "timing, one at a time")
             times = timed(jobs, request.rounds, kept, lambda: bar.advance(task))
     except KeyboardInterrupt as error:
-        raise interrupted(kept.path, bool(kept.done)) from error
+        raise interrupted(kept) from error
     return Measured(search.sweep(times), search.true)
 
 
