@@ -13,6 +13,7 @@ from tissue_contact.kernels.slots import (
     VOLUME_STIFFNESS,
 )
 from tissue_contact.kernels.springs import spring_energy, stiffening_energy
+from tissue_contact.kernels.sums import total_squares
 
 
 @inner
@@ -47,15 +48,13 @@ def tissue_energies(model, parameters, state):
         if k > 0.0:
             strain = volume_pressure(model, parameters, state, n) / k
             elastic += 0.5 * k * abs(model.tissue_volume[n]) * strain * strain
-        speed, place = 0.0, 0.0  # [m² (m/s)²] and [m⁴], squares times areas
         first, last = model.tissue_vertex_start[n], model.tissue_vertex_start[n + 1]
-        for v in range(first, last):
-            square = state.vx[v] * state.vx[v] + state.vy[v] * state.vy[v] + state.vz[v] * state.vz[v]
-            speed += model.node_area[v] * square
+        area = model.node_area[first:last]
+        kinetic += 0.5 * density * total_squares(area, state.vx[first:last], state.vy[first:last], state.vz[first:last])
+        place = 0.0  # [m⁴], squares times areas
         for v in range(first, last if support > 0.0 else first):
             dx, dy, dz = state.x[v] - model.rest_x[v], state.y[v] - model.rest_y[v], state.z[v] - model.rest_z[v]
             place += model.node_area[v] * (dx * dx + dy * dy + dz * dz)
-        kinetic += 0.5 * density * speed
         elastic += 0.5 * support * place
     return kinetic, elastic + weight_energy(model, parameters, state)
 

@@ -4,8 +4,9 @@ M are the masses, c [N·s/m³] drag and support together, L the Laplacian of the
 dampers over dt and the support. A is the same for x, y and z. Rows are the free vertices in an order of little fill,
 found at assembly with the places of all entries (`tissue_contact.elimination`). L lies in panels of four columns with
 the same rows below them, D in its diagonal; columns that a panel does not have change nothing, as their entries are
-zeros and ones. A panel is read from its end to its begin where panels are, as memory is fetched ahead in one
-direction. Right sides lie four numbers a row: x, y, z and one of padding; rows are named by where those begin.
+zeros and ones. Of a panel's own rows the inverse of L is kept, so that none of them waits for the one before. Backward,
+a panel is read from its end to its begin as panels are: memory is fetched ahead in one direction. Right sides lie four
+numbers a row: x, y, z and one of padding; rows are named by where those begin.
 """
 
 from tissue_contact.kernels.compiled import inner
@@ -88,7 +89,7 @@ def _fill(model, parameters, scratch, dt):
 
 @inner
 def _factorise_columns(values, first, last):
-    """L and 1/D in the place of the entries of one panel, from which all that others change is subtracted."""
+    """1/D, L below and L⁻¹ within the rows of one panel in the place of its entries, which no other will change."""
     for j in range(4):
         inverse = 1.0 / values[4 * (first + j) + j]
         for k in range(j + 1, 4):
@@ -108,6 +109,9 @@ def _factorise_columns(values, first, last):
         c = values[4 * r + 2] - a * l20 - b * l21
         d = values[4 * r + 3] - a * l30 - b * l31 - c * l32
         values[4 * r], values[4 * r + 1], values[4 * r + 2], values[4 * r + 3] = a * i0, b * i1, c * i2, d * i3
+    values[e + 4], values[e + 9], values[e + 14] = -l10, -l21, -l32
+    values[e + 8], values[e + 13] = l21 * l10 - l20, l32 * l21 - l31
+    values[e + 12] = l31 * l10 + l32 * (l20 - l21 * l10) - l30
 
 
 @inner
@@ -150,13 +154,13 @@ def _forward(model, scratch, panel, right):
     x1, y1, z1, w1 = right[o + 4], right[o + 5], right[o + 6], right[o + 7]
     x2, y2, z2, w2 = right[o + 8], right[o + 9], right[o + 10], right[o + 11]
     x3, y3, z3, w3 = right[o + 12], right[o + 13], right[o + 14], right[o + 15]
-    a = values[e + 4]
-    x1, y1, z1, w1 = x1 - a * x0, y1 - a * y0, z1 - a * z0, w1 - a * w0
-    a, b = values[e + 8], values[e + 9]
-    x2, y2, z2, w2 = x2 - a * x0 - b * x1, y2 - a * y0 - b * y1, z2 - a * z0 - b * z1, w2 - a * w0 - b * w1
     a, b, c = values[e + 12], values[e + 13], values[e + 14]
-    x3, y3 = x3 - a * x0 - b * x1 - c * x2, y3 - a * y0 - b * y1 - c * y2
-    z3, w3 = z3 - a * z0 - b * z1 - c * z2, w3 - a * w0 - b * w1 - c * w2
+    x3, y3 = (x3 + a * x0) + (b * x1 + c * x2), (y3 + a * y0) + (b * y1 + c * y2)
+    z3, w3 = (z3 + a * z0) + (b * z1 + c * z2), (w3 + a * w0) + (b * w1 + c * w2)
+    a, b = values[e + 8], values[e + 9]
+    x2, y2, z2, w2 = x2 + a * x0 + b * x1, y2 + a * y0 + b * y1, z2 + a * z0 + b * z1, w2 + a * w0 + b * w1
+    a = values[e + 4]
+    x1, y1, z1, w1 = x1 + a * x0, y1 + a * y0, z1 + a * z0, w1 + a * w0
     right[o + 4], right[o + 5], right[o + 6], right[o + 7] = x1, y1, z1, w1
     right[o + 8], right[o + 9], right[o + 10], right[o + 11] = x2, y2, z2, w2
     right[o + 12], right[o + 13], right[o + 14], right[o + 15] = x3, y3, z3, w3
@@ -174,32 +178,33 @@ def _backward(model, scratch, panel, right):
     """The solution at a panel's columns from that at the rows below, in place."""
     first, r, o = model.factor_start[panel], model.factor_start[panel + 1], 4 * model.factor_column[panel]
     row, values, e = model.factor_row, scratch.factor, 4 * first
-    i = values[e + 15]
-    x3, y3, z3, w3 = i * right[o + 12], i * right[o + 13], i * right[o + 14], i * right[o + 15]
-    i = values[e + 10]
-    x2, y2, z2, w2 = i * right[o + 8], i * right[o + 9], i * right[o + 10], i * right[o + 11]
-    i = values[e + 5]
-    x1, y1, z1, w1 = i * right[o + 4], i * right[o + 5], i * right[o + 6], i * right[o + 7]
-    i = values[e]
-    x0, y0, z0, w0 = i * right[o], i * right[o + 1], i * right[o + 2], i * right[o + 3]
+    x0, y0, z0, w0, x1, y1, z1, w1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    x2, y2, z2, w2, x3, y3, z3, w3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     while r > first + 4:
         r -= 1
         q, p = row[r], 4 * r
         a, b, c, d = values[p], values[p + 1], values[p + 2], values[p + 3]
         x, y, z, w = right[q], right[q + 1], right[q + 2], right[q + 3]
-        x0, y0, z0, w0 = x0 - a * x, y0 - a * y, z0 - a * z, w0 - a * w
-        x1, y1, z1, w1 = x1 - b * x, y1 - b * y, z1 - b * z, w1 - b * w
-        x2, y2, z2, w2 = x2 - c * x, y2 - c * y, z2 - c * z, w2 - c * w
-        x3, y3, z3, w3 = x3 - d * x, y3 - d * y, z3 - d * z, w3 - d * w
-    a, b, c = values[e + 12], values[e + 13], values[e + 14]
-    x0, y0, z0, w0 = x0 - a * x3, y0 - a * y3, z0 - a * z3, w0 - a * w3
-    x1, y1, z1, w1 = x1 - b * x3, y1 - b * y3, z1 - b * z3, w1 - b * w3
-    x2, y2, z2, w2 = x2 - c * x3, y2 - c * y3, z2 - c * z3, w2 - c * w3
-    a, b = values[e + 8], values[e + 9]
-    x0, y0, z0, w0 = x0 - a * x2, y0 - a * y2, z0 - a * z2, w0 - a * w2
-    x1, y1, z1, w1 = x1 - b * x2, y1 - b * y2, z1 - b * z2, w1 - b * w2
-    a = values[e + 4]
-    right[o], right[o + 1], right[o + 2], right[o + 3] = x0 - a * x1, y0 - a * y1, z0 - a * z1, w0 - a * w1
+        x0, y0, z0, w0 = x0 + a * x, y0 + a * y, z0 + a * z, w0 + a * w
+        x1, y1, z1, w1 = x1 + b * x, y1 + b * y, z1 + b * z, w1 + b * w
+        x2, y2, z2, w2 = x2 + c * x, y2 + c * y, z2 + c * z, w2 + c * w
+        x3, y3, z3, w3 = x3 + d * x, y3 + d * y, z3 + d * z, w3 + d * w
+    i = values[e + 15]
+    x3, y3, z3, w3 = i * right[o + 12] - x3, i * right[o + 13] - y3, i * right[o + 14] - z3, i * right[o + 15] - w3
+    i = values[e + 10]
+    x2, y2, z2, w2 = i * right[o + 8] - x2, i * right[o + 9] - y2, i * right[o + 10] - z2, i * right[o + 11] - w2
+    i = values[e + 5]
+    x1, y1, z1, w1 = i * right[o + 4] - x1, i * right[o + 5] - y1, i * right[o + 6] - z1, i * right[o + 7] - w1
+    i = values[e]
+    x0, y0, z0, w0 = i * right[o] - x0, i * right[o + 1] - y0, i * right[o + 2] - z0, i * right[o + 3] - w0
+    a, b, c = values[e + 4], values[e + 8], values[e + 12]
+    x0, y0 = (x0 + a * x1) + (b * x2 + c * x3), (y0 + a * y1) + (b * y2 + c * y3)
+    z0, w0 = (z0 + a * z1) + (b * z2 + c * z3), (w0 + a * w1) + (b * w2 + c * w3)
+    a, b = values[e + 9], values[e + 13]
+    x1, y1, z1, w1 = x1 + a * x2 + b * x3, y1 + a * y2 + b * y3, z1 + a * z2 + b * z3, w1 + a * w2 + b * w3
+    a = values[e + 14]
+    x2, y2, z2, w2 = x2 + a * x3, y2 + a * y3, z2 + a * z3, w2 + a * w3
+    right[o], right[o + 1], right[o + 2], right[o + 3] = x0, y0, z0, w0
     right[o + 4], right[o + 5], right[o + 6], right[o + 7] = x1, y1, z1, w1
     right[o + 8], right[o + 9], right[o + 10], right[o + 11] = x2, y2, z2, w2
     right[o + 12], right[o + 13], right[o + 14], right[o + 15] = x3, y3, z3, w3

@@ -46,6 +46,7 @@ from tissue_contact.kernels.stability import (
     stable_substep,
     travel,
 )
+from tissue_contact.kernels.sums import square, total
 from tissue_contact.kernels.symplectic import symplectic_euler
 from tissue_contact.kernels.vectors import turn_between
 from tissue_contact.status import (
@@ -110,22 +111,16 @@ def _runs_off(state, v):
     return (not size <= PLACE_MAX) | (not math.isfinite(total)), total
 
 
-@pointwise
-def _square(vx, vy, vz, v):
-    """Square of the speed of a vertex [m²/s²]."""
-    return vx[v] * vx[v] + vy[v] * vy[v] + vz[v] * vz[v]
-
-
 @inner
 def _greatest_speed(vx, vy, vz):
     """Greatest speed [m/s] of some vertices."""
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     fours = vx.size // 4
     for k in range(fours):  # one maximum alone would wait for the one before
-        a, b = max(a, _square(vx, vy, vz, 4 * k)), max(b, _square(vx, vy, vz, 4 * k + 1))
-        c, d = max(c, _square(vx, vy, vz, 4 * k + 2)), max(d, _square(vx, vy, vz, 4 * k + 3))
+        a, b = max(a, square(vx, vy, vz, 4 * k)), max(b, square(vx, vy, vz, 4 * k + 1))
+        c, d = max(c, square(vx, vy, vz, 4 * k + 2)), max(d, square(vx, vy, vz, 4 * k + 3))
     for v in range(4 * fours, vx.size):
-        a = max(a, _square(vx, vy, vz, v))
+        a = max(a, square(vx, vy, vz, v))
     return math.sqrt(max(a, b, c, d))
 
 
@@ -511,8 +506,7 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
             if status != OK:
                 return status
         n, done = n + 1, done + 1
-    for v in range(state.x.size):
-        state.dissipated[0] += scratch.loss[v]
+    state.dissipated[0] += total(scratch.loss)
     if state.since_detection[0] > 0.0:  # else checked since it moved
         status = _check_state(model, state, scratch)
         if status != OK:
