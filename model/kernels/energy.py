@@ -13,7 +13,7 @@ from tissue_contact.kernels.slots import (
     VOLUME_STIFFNESS,
 )
 from tissue_contact.kernels.springs import spring_energy, stiffening_energy
-from tissue_contact.kernels.sums import total_squares
+from tissue_contact.kernels.sums import sum_of_squares
 
 
 @inner
@@ -49,8 +49,8 @@ def tissue_energies(model, parameters, state):
             strain = volume_pressure(model, parameters, state, n) / k
             elastic += 0.5 * k * abs(model.tissue_volume[n]) * strain * strain
         first, last = model.tissue_vertex_start[n], model.tissue_vertex_start[n + 1]
-        area = model.node_area[first:last]
-        kinetic += 0.5 * density * total_squares(area, state.vx[first:last], state.vy[first:last], state.vz[first:last])
+        area, vx, vy, vz = model.node_area[first:last], state.vx[first:last], state.vy[first:last], state.vz[first:last]
+        kinetic += 0.5 * density * sum_of_squares(area, vx, vy, vz)
         place = 0.0  # [m⁴], squares times areas
         for v in range(first, last if support > 0.0 else first):
             dx, dy, dz = state.x[v] - model.rest_x[v], state.y[v] - model.rest_y[v], state.z[v] - model.rest_z[v]

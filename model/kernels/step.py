@@ -46,7 +46,7 @@ from tissue_contact.kernels.stability import (
     stable_substep,
     travel,
 )
-from tissue_contact.kernels.sums import square, total
+from tissue_contact.kernels.sums import square, sum_of
 from tissue_contact.kernels.symplectic import symplectic_euler
 from tissue_contact.kernels.vectors import turn_between
 from tissue_contact.status import (
@@ -506,7 +506,7 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
             if status != OK:
                 return status
         n, done = n + 1, done + 1
-    state.dissipated[0] += total(scratch.loss)
+    state.dissipated[0] += sum_of(scratch.loss)
     if state.since_detection[0] > 0.0:  # else checked since it moved
         status = _check_state(model, state, scratch)
         if status != OK:

@@ -10,7 +10,7 @@ def square(x, y, z, v):
 
 
 @inner
-def total(values):
+def sum_of(values):
     """Sum of the values."""
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     fours = values.size // 4
@@ -23,7 +23,7 @@ def total(values):
 
 
 @inner
-def total_squares(weight, x, y, z):
+def sum_of_squares(weight, x, y, z):
     """Sum of the weights times x² + y² + z²."""
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     fours = weight.size // 4
