@@ -247,7 +247,7 @@ def _model(scene: Scene, sheets: list[Sheet], bodies: list[Body]) -> Model:
         probe_weight=probe_weight.ravel(),
         step=np.array([scene.solver.step]),
         safety=np.array([scene.solver.safety]),
-        detection_period=np.array([scene.solver.detection_period]),
+        detection_period=np.array([scene.detection_period]),
         energy_gain=np.array([scene.solver.energy_gain]),
         tolerance=np.array([scene.solver.tolerance]),
         motion_limit=np.array([scene.solver.motion_limit]),
@@ -361,7 +361,7 @@ def _state(scene: Scene, model: Model, sizes: Sizes) -> State:
     touches, vertices = int(model.contact_touch_start[-1]), len(model.rest_x)
     each = {
         **dict.fromkeys(("pairs", "rejected", "touches", "regions", "near_count", "touch_load", "deepest"), contacts),
-        **dict.fromkeys(("since_detection", "dissipated", "work", "stored", "energy_start"), 1),
+        **dict.fromkeys(("since_detection", "dissipated", "work", "stored", "energy_start", "moved"), 1),
         **dict.fromkeys(("put_in", "gained", "returned", "found", "resolved"), 1),
         **dict.fromkeys(("crush", "tissue_speed"), len(scene.tissue)),
         **dict.fromkeys(("closed", "held", "held_area"), holds),
@@ -371,6 +371,7 @@ def _state(scene: Scene, model: Model, sizes: Sizes) -> State:
     }
     start = {"x": model.rest_x, "y": model.rest_y, "z": model.rest_z, "pose": np.array(pose).ravel()}
     start["block_reach"] = np.full(len(model.block_middle), ANYWHERE)
+    start["tissue_way"] = np.full(len(scene.tissue), ANYWHERE)
     for name in State._fields:
         if name not in start:
             groups = {"touch_": touches, "anchor_": int(model.grasp_start[-1])}
@@ -400,8 +401,10 @@ def _scratch(scene: Scene, model: Model, parameters: int) -> Scratch:
         "active": 1,
         "detail": 2,
         "expansion": 256,
+        **dict.fromkeys(("point_distance", "point_x", "point_y", "point_z"), fields.CUTS_MAX**2),
         "marks": -(-triangles // WORD),
         "candidate": triangles,
+        "touching": int(model.contact_near_start[-1]),
         "vertex_share": vertices if capacity else 0,
         "corner": vertices if split and scene.contact else 0,
         "damping": 23 * vertices if split and scene.contact else 0,

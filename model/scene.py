@@ -25,6 +25,7 @@ from tissue_contact.settings import (
     validate,
 )
 
+DETECTION_PERIOD = 1e-3  # [s] where a scene gives none and does not go by the motion alone
 NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_]{0,63}$"
 RESERVED = ("energy", "solver")  # the FMU has variables of its own under these names
 NOT_SPRINGS = ("nonlinearity", "area_stiffness", "volume_stiffness")  # what a tissue has beyond linear springs
@@ -431,7 +432,12 @@ class Solver(Settings):
     safety: float = quantity("1", 0.01, 1, "share of the stable limit that a substep uses", 0.95)
     substeps: int = quantity("1", 0, 100_000, "substeps of a communication step, 0 to follow the stable limit", 0)
     max_substeps: int = quantity("1", 1, 100_000, "substeps of a communication step above which it is refused", 1000)
-    detection_period: float = quantity("s", 1e-6, 1, "longest time between two collision detections", 0.001)
+    detection_period: float | None = quantity(
+        "s", 1e-6, 1,
+        "longest time between two collision detections; without it 1 ms, or only as the motion asks where detection is "
+        "continuous and every contact a distance_field",
+        None,
+    )  # fmt: skip
     detection: Literal["continuous", "discrete"] = Field(
         "continuous",
         description="whether steps are cut so that little moves between two detections, or only the period counts",
@@ -526,6 +532,14 @@ class Scene(Settings):
     def bodies(self) -> tuple[Instrument | Rigid, ...]:
         """All that is rigid: the instruments, then the rigid bodies."""
         return (*self.instrument, *self.rigid)
+
+    @property
+    def detection_period(self) -> float:
+        """Longest time between two detections [s], infinite where only the motion asks for them."""
+        if self.solver.detection_period is not None:
+            return self.solver.detection_period
+        by_motion = self.solver.detection == "continuous" and all(c.is_field for c in self.contact)
+        return math.inf if by_motion else DETECTION_PERIOD
 
     @property
     def not_springs(self) -> list[str]:

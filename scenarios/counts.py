@@ -101,27 +101,15 @@ def _energies(m: Model) -> Part:
     return Part("energies", 1, 12 * s + 18 * v, s, s * (2 * INDEX + 2 * REAL) + v * (3 * VECTOR + REAL))
 
 
-def _detection(m: Model, state: State, substeps: int, passes: int) -> Part:
-    """A vertex into the frame of the body 18, six comparisons; the corners of what is near.
-
-    Every vertex, or where one substep lies between two detections the middles of the blocks and these corners.
-    """
-    near, v = _near(m, state), m.rest_x.size
-    if substeps == passes:
-        corners = np.unique([side[near] for side in (m.triangle_a, m.triangle_b, m.triangle_c)])
-        v = m.block_middle.size + corners.size
-    return Part("detection", passes, 24 * v, 0, v * (2 * VECTOR + INDEX) + len(near) * 4 * INDEX)
-
-
 def _backup(assembly: Assembly) -> Part:
     """The FMU copies all that persists before a step, to return to it."""
     return Part("backup", 1, 0, 0, 2.0 * (assembly.state_real.nbytes + assembly.state_index.nbytes))
 
 
-def parts(assembly: Assembly, state: State, scratch: Scratch, substeps: int, detections: int) -> list[Part]:
-    """Parts of a step of symplectic Euler or projective dynamics at a state, as it was left by a step."""
+def parts(assembly: Assembly, state: State, scratch: Scratch, substeps: int) -> list[Part]:
+    """Parts of a step of symplectic Euler or projective dynamics at a state, as it was left by a step; no detection."""
     m, pressed = assembly.model, int(scratch.active[0])
-    common = [_energies(m), _detection(m, state, substeps, detections), _backup(assembly)]
+    common = [_energies(m), _backup(assembly)]
     if m.integrator[0] == PROJECTIVE_DYNAMICS:
         n = substeps * int(m.iterations[0])
         solved = [_substitutions(m, n), _residual(m, n), _pressed_rows(m, scratch, n)]

@@ -7,7 +7,6 @@ alone, compiled just in time; the step and its instructions are those of the FMU
 """
 
 import json
-import math
 import re
 import shutil
 import subprocess
@@ -29,7 +28,6 @@ from tissue_contact.fmu.native import drive
 from tissue_contact.kernels import energy, factor, forces, symplectic
 from tissue_contact.kernels.bundle import Bundle
 from tissue_contact.kernels.compiled import kernel
-from tissue_contact.kernels.stability import PROJECTIVE_DYNAMICS
 from tissue_contact.scenarios import bench, counts
 from tissue_contact.scenarios.counts import Part
 from tissue_contact.simulate import Instance, run
@@ -138,20 +136,12 @@ def _energies(model, parameters, state, scratch, n):
         scratch.detail[k % 2], _ = energy.tissue_energies(model, parameters, state)
 
 
-@kernel
-def _detection(model, parameters, state, scratch, n):
-    drift = 0.0 if model.integrator[0] == PROJECTIVE_DYNAMICS else math.inf
-    for _ in range(n):
-        forces.detect_all(model, state, scratch, 0.0, drift)
-
-
 TIMED: dict[str, Callable[..., None]] = {
     "springs": _springs,
     "motion": _motion,
     "contact": _contact,
     "substitutions": _substitutions,
     "energies": _energies,
-    "detection": _detection,
 }
 
 
@@ -219,7 +209,7 @@ def solver_result(solver: str, machine: Machine, folder: Path) -> dict[str, Any]
     instance = Instance(assembly)
     for _ in run(instance, bench.poses()[: PRESSED + 1], bench.STEP):
         pass
-    found = counts.parts(assembly, instance.state, instance.scratch, substeps, detections=1)
+    found = counts.parts(assembly, instance.state, instance.scratch, substeps)
     times = part_times(assembly, instance, [part.name for part in found])
     rows = []
     for part in found:

@@ -27,7 +27,7 @@ from tissue_contact.kernels.layout import Real
 from tissue_contact.pool import Kept, Spread, pool, problem_of
 from tissue_contact.scenarios.report import png
 from tissue_contact.scenarios.run import bar_of, interrupted, scene_key, tell_kept
-from tissue_contact.scene import Contact, FixedBox, Scene, Solver, Tissue
+from tissue_contact.scene import DETECTION_PERIOD, Contact, FixedBox, Scene, Solver, Tissue
 from tissue_contact.settings import check_word, nearest, setting
 from tissue_contact.simulate import Instance
 from tissue_contact.study import z_width as widths
@@ -283,7 +283,7 @@ def _own_values(scene: Scene, assembly: Assembly, speed: float) -> dict[str, flo
         "density": tissue.areal_density,
         "contact_stiffness": (contact.stiffness_per_area if contact.is_field else contact.stiffness) or 0.0,
         "speed": speed,
-        "detection_period": solver.detection_period,
+        "detection_period": solver.detection_period or 0.0,
     }
 
 
@@ -292,6 +292,7 @@ def _start_values(own: Mapping[str, float], assembly: Assembly, limit: float) ->
     start = {
         "damping": 0.5 * float(assembly.model.spring_stiffness.mean()) * limit,
         "support_damping": 0.4 * own["density"] / limit,
+        "detection_period": DETECTION_PERIOD,
     }
     return {axis: value or start.get(axis, value) for axis, value in own.items()}
 

@@ -209,6 +209,80 @@ def test_blocks_passed_over_hold_nothing(monkeypatch, integrator, response):
     assert (passed > 1000) == (integrator != "runge_kutta_4")
 
 
+@pytest.mark.parametrize("integrator", ["projective_dynamics", "implicit_euler", "symplectic_euler", "runge_kutta_4"])
+def test_a_field_is_looked_for_as_seldom_as_the_motion_allows(integrator):
+    """Outputs are the same to the last bit as with a detection after every substep, and there are far fewer.
+
+    Both sides count, so that it does not matter when a side is latched.
+    """
+    seed = 24
+    rng = np.random.default_rng(seed)
+    response = 'stiffness_per_area = 1e6\n    damping_per_area = 1e3\n    side = "both"'
+    scene = TWO.format(instrument=INSTRUMENTS[0], response=response)
+    assemblies = [
+        assembled(f'[solver]\nintegrator = "{integrator}"\n{period}\n{scene}')
+        for period in ("", "detection_period = 1e-6")
+    ]
+    seldom, often = (Instance(assembly) for assembly in assemblies)
+    assert seldom.model.detection_period[0] == np.inf
+    names = [v.name for v in assemblies[0].variables if v.block == "outputs"]
+    told = np.array([not name.endswith(("pairs", "rejected")) for name in names])
+    for instance in (seldom, often):
+        instance.inputs[:] = [0.0, 0.0, 0.005, 1, 0, 0, 0]
+        instance.initialize()
+    pressed = kept = 0
+    way, moved = np.zeros(3), 0.0
+    for k in range(400):
+        # from a creep to a thrust
+        way = 0.9 * way + rng.normal(0.0, 10.0 ** rng.uniform(-6, -4), 3)
+        way[2] -= 0.04 * (seldom.inputs[2] + 0.002 + 0.003 * np.sin(0.05 * k))
+        for instance in (seldom, often):
+            instance.inputs[:3] += way
+            instance.step(1e-3)
+        assert np.array_equal(seldom.outputs[told], often.outputs[told]), (seed, k)
+        pressed += bool(seldom.outputs[names.index("instrument.force[3]")] != 0.0)
+        kept += seldom.state.moved[0] > moved
+        moved = seldom.state.moved[0]
+    assert pressed > 200
+    assert kept > 100
+
+
+def test_sides_do_not_depend_on_how_seldom_a_field_is_looked_for():
+    """A slow press of a bar, at whose edges triangles turn: the same bits as with a detection a millisecond."""
+    text = """
+        [[tissue]]
+        shape = { kind = "patch", size = [0.02, 0.02], triangles = 400 }
+        position = [-0.015, 0.0, 0.0]
+        areal_density = 1.0
+        stiffness = 100.0
+        support_stiffness = 1e5
+        support_damping = 1000.0
+        [[instrument]]
+        shape = { kind = "box", size = [0.06, 0.006, 0.01] }
+        [[contact]]
+        stiffness_per_area = 1e7
+        damping_per_area = 3e3
+        [solver]
+    """
+    runs = []
+    for period in ("", "detection_period = 1e-3"):
+        instance = Instance(assembled(text + period))
+        instance.inputs[:] = [0.0, 0.0, 0.001, 1, 0, 0, 0]
+        instance.initialize()
+        outputs, turned, side = [], 0, instance.state.side.copy()
+        for _ in range(200):
+            instance.inputs[2] -= 1e-5
+            instance.step(1e-3)
+            outputs.append(instance.outputs.copy())
+            turned += int(((side != instance.state.side) & (side != 0) & (instance.state.side != 0)).sum())
+            side[:] = instance.state.side
+        assert turned > 0
+        runs.append(np.array(outputs))
+    names = [v.name for v in assembled(text).variables if v.block == "outputs"]
+    told = np.array([not name.endswith("airs") for name in names])
+    assert np.array_equal(runs[0][:, told], runs[1][:, told])
+
+
 def test_cell_classes_add_up_to_the_grid():
     instance = settled(
         assembled(SCENE.format(triangles=300, seed=1, instrument=INSTRUMENTS[0])), [0, 0, -0.001, 1, 0, 0, 0]

@@ -22,7 +22,7 @@ from tissue_contact.geometry import Surface
 from tissue_contact.kernels.bundle import Bundle
 from tissue_contact.kernels.collision import support
 from tissue_contact.kernels.compiled import kernel
-from tissue_contact.kernels.field import FAR, GRID, NONE, body_distance, fields_of, part_distance, seen_outside
+from tissue_contact.kernels.field import FAR, GRID, NONE, body_distance, fields_of, part_distance, triangle_distances
 from tissue_contact.kernels.pressure import out_of_reach, steepness
 from tissue_contact.kernels.sampling import sample
 
@@ -183,19 +183,33 @@ def test_a_body_is_the_union_of_its_parts():
     assert body_distance(SEVERAL, np.uint32(2), np.uint32(2), (0.0, 0.0, 0.0)) == (FAR, 0, 0, 0)
 
 
-def test_what_is_seen_outside_lies_outside_and_little_outside_is_not_seen():
+@kernel
+def distances_of(fields, first, last, u, v, w, wa, wb, wc, phi, gx, gy, gz):
+    """The kernel for Python, which only kernels may call."""
+    triangle_distances(fields, first, last, u, v, w, wa, wb, wc, phi, gx, gy, gz)
+
+
+def test_the_points_of_a_triangle_are_as_far_as_each_of_them_alone():
+    """To the last bit, whether parts are read in vectors or point by point; nothing beyond the points is written."""
     rng = np.random.default_rng(5)
-    capsules, with_box = (np.uint32(CAPSULE), np.uint32(BOX)), (np.uint32(CAPSULE), np.uint32(ROD))
-    for share in (0.5, 1.0 - 1e-15, 1.0, 1.0 + 1e-16, 1.0 + 2e-15, 1.0 + 1e-12, 2.0):
-        for end in (True, False) * 100:
-            out = A - B if end else np.cross(B - A, rng.normal(size=3))
-            foot = A if end else A + rng.random() * (B - A)
-            p = tuple(foot + share * R * out / np.linalg.norm(out))
-            seen = seen_outside(SEVERAL, *capsules, p)
-            assert not (seen and body_distance(SEVERAL, *capsules, p)[0] < 0.0), (share, p)
-            assert seen == (share > 1.0) or abs(share - 1.0) < 1e-11
-            assert not seen_outside(SEVERAL, *with_box, p)
-    assert not seen_outside(SEVERAL, *capsules, (np.nan,) * 3)
+    inside = 0
+    for trial in range(300):
+        corners = (A + B) / 2 + rng.normal(0.0, 0.006, (3, 3))
+        if trial < 9:
+            corners[:] = (A, B, (A + B) / 2)[trial % 3]  # all points are one, on the axis of the capsule
+        weights = rng.dirichlet((1.0, 1.0, 1.0), rng.integers(1, 13)).T.copy()
+        first, last = sorted(rng.integers(0, 6, 2))
+        found = np.full((4, 13), 7.0)
+        places = (tuple(corner) for corner in corners.tolist())
+        distances_of(SEVERAL, np.uint32(first), np.uint32(last), *places, *weights, *found)
+        for q, (a, b, c) in enumerate(weights.T.tolist()):
+            u, v, w = corners.tolist()
+            point = tuple(a * u[k] + b * v[k] + c * w[k] for k in range(3))
+            wanted = body_distance(SEVERAL, np.uint32(first), np.uint32(last), point)
+            assert tuple(found[:, q].tolist()) == wanted, (trial, q)
+            inside += wanted[0] < 0.0
+        assert (found[:, weights.shape[1] :] == 7.0).all()
+    assert inside > 100
 
 
 def test_no_field_is_far():

@@ -20,7 +20,6 @@ from tissue_contact.kernels.compiled import inner, pointwise
 from tissue_contact.kernels.vectors import dot
 
 NONE, CAPSULE, BOX, CYLINDER, GRID = 0, 1, 2, 3, 4
-SURE = 1.0 + 1e-15  # beyond this times the square of a radius a root is not below the radius, whatever the rounding
 FAR = 1e30  # [m] phi where a part has no field: beyond every depth and gap, its square still finite
 
 
@@ -35,21 +34,14 @@ def _less(a, b):
 
 
 @pointwise
-def _from_foot(value, i, p):
-    """A point from its foot on the axis of a capsule."""
-    a, b = _three(value, i), _three(value, i + 3)
+def _capsule(a, b, r, p):
     w, d = _less(p, a), _less(b, a)
     dd = dot(d, d)
     f = min(1.0, max(0.0, dot(w, d) / dd)) if dd > 0.0 else 0.0
-    return w[0] - f * d[0], w[1] - f * d[1], w[2] - f * d[2]
-
-
-@pointwise
-def _capsule(value, i, p):
-    x, y, z = _from_foot(value, i, p)
+    x, y, z = w[0] - f * d[0], w[1] - f * d[1], w[2] - f * d[2]
     length = math.sqrt(x * x + y * y + z * z)
     g = 1.0 / length if length > 0.0 else 0.0
-    return length - value[i + 6], g * x, g * y, g * z
+    return length - r, g * x, g * y, g * z
 
 
 @pointwise
@@ -178,7 +170,7 @@ def part_distance(fields, part, p):
         size, low = _three(sizes, 3 * part), _three(lows, 3 * part)
         return _grid(value, i, size, low, spacings[part], p)
     if kind == CAPSULE:
-        return _capsule(value, i, p)
+        return _capsule(_three(value, i), _three(value, i + 3), value[i + 6], p)
     if kind == BOX:
         return _box(value, i, p)
     if kind == CYLINDER:
@@ -201,14 +193,44 @@ def body_distance(fields, first_part, last_part, p):
 
 
 @pointwise
-def seen_outside(fields, first_part, last_part, p):
-    """Whether a point is seen to be outside a body without a root; of one that is not, `body_distance` tells."""
+def _point(u, v, w, wa, wb, wc):
+    """Point of a triangle, by areal coordinates."""
+    return (
+        wa * u[0] + wb * v[0] + wc * w[0],
+        wa * u[1] + wb * v[1] + wc * w[1],
+        wa * u[2] + wb * v[2] + wc * w[2],
+    )
+
+
+@inner
+def triangle_distances(fields, first_part, last_part, u, v, w, wa, wb, wc, phi, gx, gy, gz):
+    """`body_distance` of all points of a triangle, in vectors from parts that are capsules.
+
+    Parameters
+    ----------
+    u, v, w : tuple of three
+        Corners of the triangle [m], body frame.
+    wa, wb, wc : float64 arrays, shape (n,)
+        Areal coordinates of the points.
+    phi, gx, gy, gz : float64 arrays, shape (n,) or more
+        The results.
+    """
     kinds, start, value, _, _, _ = fields
+    for q in range(wa.size):
+        phi[q], gx[q], gy[q], gz[q] = FAR, 0.0, 0.0, 0.0
     for part in range(first_part, last_part):
-        if kinds[part] != CAPSULE:
-            return False
         i = start[part]
-        foot, r = _from_foot(value, i, p), value[i + 6]
-        if not dot(foot, foot) > SURE * r * r:
-            return False
-    return True
+        if kinds[part] == CAPSULE:
+            a, b, r = _three(value, i), _three(value, i + 3), value[i + 6]
+            for q in range(wa.size):
+                found = _capsule(a, b, r, _point(u, v, w, wa[q], wb[q], wc[q]))
+                closer = found[0] < phi[q]
+                gx[q] = found[1] if closer else gx[q]
+                gy[q] = found[2] if closer else gy[q]
+                gz[q] = found[3] if closer else gz[q]
+                phi[q] = found[0] if closer else phi[q]
+            continue
+        for q in range(wa.size):
+            found = part_distance(fields, part, _point(u, v, w, wa[q], wb[q], wc[q]))
+            if found[0] < phi[q]:
+                phi[q], gx[q], gy[q], gz[q] = found

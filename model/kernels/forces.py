@@ -1,13 +1,11 @@
 """All the forces of a scene at one moment: tissue, contacts, holds."""
 
-import math
-
 from tissue_contact.kernels.collision import BODIES, FIELD
 from tissue_contact.kernels.compiled import inner
 from tissue_contact.kernels.constraints import add_area_forces, add_volume_forces, enclosed_volume
 from tissue_contact.kernels.detection import detect
 from tissue_contact.kernels.grasp import pull
-from tissue_contact.kernels.near import find_near_samples, find_near_triangles
+from tissue_contact.kernels.near import find_near_samples, find_near_triangles, turn_sides
 from tissue_contact.kernels.occupancy import ANYWHERE, loosen
 from tissue_contact.kernels.pressure import press_bodies, press_tissue
 from tissue_contact.kernels.response import respond
@@ -54,30 +52,42 @@ def motion_of(scratch, body):
 
 
 @inner
-def detect_all(model, state, scratch, elapsed, drift):
+def detect_all(model, state, scratch, elapsed, ahead):
     """Find what touches, or may touch until the next detection; the status.
 
-    Since the last detection every vertex has moved by ``drift`` [s] times its velocity, of which state.tissue_speed has
-    the greatest; infinite where that is not so.
+    Since the last detection no vertex has gone farther than state.tissue_way. ``ahead`` is as for `near.margin_of`.
     """
-    known = drift < math.inf
     for n in range(model.tissue_rate.size):
-        loosen(model, state, n, drift * state.tissue_speed[n] if known else ANYWHERE)
+        loosen(model, state, n, state.tissue_way[n])
     for k in range(model.contact_body.size):
         r, p = pose_of(state, scratch, model.contact_body[k], elapsed)
         kind = model.contact_response[k]
         if kind == BODIES:
             r2, p2 = pose_of(state, scratch, model.contact_other[k], elapsed)
-            find_near_samples(model, state, k, r, p, r2, p2)
-        elif kind == FIELD:
-            find_near_triangles(model, state, scratch, k, r, p, known)
+            find_near_samples(model, state, k, r, p, r2, p2, ahead)
+            continue
+        known = state.tissue_way[model.contact_tissue[k]] < ANYWHERE
+        if kind == FIELD:
+            find_near_triangles(model, state, scratch, k, r, p, known, ahead)
         else:
             status = detect(model, state, scratch, k, r, p, known)
             if status != OK:
                 return status
             find_touches(model, state, scratch, k, r)
     state.since_detection[0] = 0.0
+    state.moved[0] = 0.0
+    for n in range(model.tissue_rate.size):
+        state.tissue_way[n] = 0.0
     return OK
+
+
+@inner
+def turn_all(model, state, scratch, elapsed):
+    """Decide anew on which sides of the triangles that touch fields the bodies are; the rest is as it was found."""
+    for k in range(model.contact_body.size):
+        if model.contact_response[k] == FIELD and state.near_count[k] > 0:
+            r, p = pose_of(state, scratch, model.contact_body[k], elapsed)
+            turn_sides(model, state, scratch, k, r, p)
 
 
 @inner

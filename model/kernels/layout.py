@@ -156,7 +156,7 @@ class Model(NamedTuple):
     probe_weight: Real  # [1], shape [3 Q], areal coordinates
     step: Real  # [s], shape [1], communication step that the scene foresees
     safety: Real  # [1], shape [1], share of the stable limit that is used
-    detection_period: Real  # [s], shape [1], time between two collision detections
+    detection_period: Real  # [s], shape [1], longest time between two collision detections, infinite: as motion asks
     energy_gain: Real  # [1], shape [1], energy that may come from nowhere over what was put in
     tolerance: Real  # [1], shape [1], change with which projective dynamics is content
     motion_limit: Real  # [m], shape [1], way of a vertex in a substep, beyond which projective dynamics is left; 0 none
@@ -198,6 +198,7 @@ class State(NamedTuple):
     touch_load: Real  # [1/m²], shape [K], largest share of a vertex over its area
     deepest: Real  # [m], shape [K], when forces were last evaluated
     tissue_speed: Real  # [m/s], shape [n], greatest of a vertex at the last check, 0 if not in contact
+    tissue_way: Real  # [m], shape [n], of a vertex since the last detection, at most; `ANYWHERE` if not known
     block_reach: Real  # [m], shape [D], within which of its middle all vertices of a block are, `ANYWHERE` if not known
     anchor_x: Real  # [m], shape [A], place of an anchor in the body frame
     anchor_y: Real  # [m], shape [A]
@@ -207,6 +208,7 @@ class State(NamedTuple):
     tuned: Real  # shape [L], parameters of the last step
     crush: Real  # [1], shape [n], greatest stiffness across a crushed spring over that along it, so far
     since_detection: Real  # [s], shape [1]
+    moved: Real  # [1], shape [1], since the last detection, over what bodies and tissues may move between two
     dissipated: Real  # [J], shape [1]
     work: Real  # [J], shape [1], done by the bodies on the tissue and on each other
     stored: Real  # [J], shape [1], energy of tissue, contacts and holds at the last communication point
@@ -230,6 +232,9 @@ class Scratch(NamedTuple):
     outcode: Index  # shape [V], which faces of the body's box a vertex lies beyond, a bit a face
     marks: Index  # shape [T / 32, rounded up], triangles of a tissue that may touch, a bit each
     candidate: Index  # shape [T], the same, listed
+    touching: (
+        Index  # shape [R], 1 for what is near a field and touched it, or was rejected, when forces were last evaluated
+    )
     stamp: Index  # shape [U], 1 + the last tissue triangle that met a body triangle
     cell_stamp: Index  # shape [C], 1 where a tissue triangle was met in a cell
     cells: Index  # shape [3], empty, solo and potentially colliding cells of the last detection
@@ -254,6 +259,10 @@ class Scratch(NamedTuple):
     push_row: Index  # shape [3 F]
     detail: Real  # shape [2], figures for the message of a status
     expansion: Real  # shape [256], exact arithmetic
+    point_distance: Real  # [m], shape [most points of a triangle], signed distance of each from a body
+    point_x: Real  # [1], shape [most points of a triangle], gradient of the distance, body frame
+    point_y: Real  # [1], shape [most points of a triangle]
+    point_z: Real  # [1], shape [most points of a triangle]
     fx: Real  # [N], shape [V], force on a vertex
     fy: Real  # [N], shape [V]
     fz: Real  # [N], shape [V]

@@ -3,10 +3,9 @@
 Built into an FMU by the benchmark only. No time passes in the repeats, so they change neither motion nor outputs.
 """
 
-import math
-
 from tissue_contact.kernels.compiled import kernel
 from tissue_contact.kernels.forces import clear_contacts, contact_forces, detect_all, tissue_forces
+from tissue_contact.kernels.occupancy import ANYWHERE
 from tissue_contact.kernels.slots import BODY_OUTPUTS, POSE, SUBSTEPS
 from tissue_contact.kernels.step import initialize
 from tissue_contact.kernels.step import step as plain_step
@@ -23,9 +22,10 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
     n = parameters.size - 3
     status = plain_step(model, parameters, state, inputs, h, outputs, scratch)
     substeps = int(outputs[BODY_OUTPUTS * (state.pose.size // POSE) + SUBSTEPS])
-    drift = 0.0 if substeps == 1 else math.inf  # between two detections, which may know as much as those of the step
     for _ in range(int(parameters[n])):
-        detect_all(model, state, scratch, 0.0, drift)
+        for k in range(state.tissue_way.size if substeps > 1 else 0):
+            state.tissue_way[k] = ANYWHERE  # no more is known between two detections than in the step
+        detect_all(model, state, scratch, 0.0, 0.0)
     for _ in range(int(parameters[n + 1]) * substeps):
         clear_contacts(state, scratch)
         contact_forces(model, parameters, state, scratch, 0.0, 0.0, False)

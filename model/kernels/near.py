@@ -9,13 +9,28 @@ import math
 from tissue_contact.kernels.collision import facing, shaft
 from tissue_contact.kernels.compiled import inner, pointwise
 from tissue_contact.kernels.field import FAR, GRID, fields_of, part_distance
-from tissue_contact.kernels.occupancy import find_candidates
+from tissue_contact.kernels.occupancy import find_candidates, in_body
 from tissue_contact.kernels.side import FACING, REJECTED, latch
 from tissue_contact.kernels.vectors import cross, dot, to_body, to_world
 
-# Share of the thinnest half extent that bodies may move between two continuous detections; what may be touched until
-# then is looked for within twice that share, as the last substep before a detection may go as far again.
+# Share of the thinnest half extent that bodies may move between two continuous detections.
 MOTION = 0.25
+
+
+@inner
+def is_by_motion(model):
+    """Whether detections come as bodies and tissues move, each before the substep that asks for it, not by a period."""
+    return model.detection_period[0] == math.inf
+
+
+@inner
+def margin_of(model, contact, ahead):
+    """Distance [m] from the body of a contact within which what may be touched until the next detection is.
+
+    All that bodies may move until then, and what they move ``ahead`` in the next substep as a share of it, at most as
+    far again: a tissue may go faster by then.
+    """
+    return (1.0 + min(1.0, ahead)) * MOTION * model.contact_reach[contact]
 
 
 @pointwise
@@ -62,14 +77,63 @@ def _nearest_part(model, first, last, p):
 
 
 @inner
-def find_near_triangles(model, state, scratch, contact, r, p, known):
+def _turn_side(model, state, contact, side, middle, u, v, w, part, axis):
+    """Latch the side of a triangle anew; the part of the body that it is nearest to, and its shaft axis.
+
+    ``middle``, ``u``, ``v``, ``w`` are as from `middle_of`, ``part`` and ``axis`` those of the triangle before.
+    """
+    if model.contact_both[contact] == 1:
+        state.side[side] = FACING
+        return part, axis
+    normal = cross((v[0] - u[0], v[1] - u[1], v[2] - u[2]), (w[0] - u[0], w[1] - u[1], w[2] - u[2]))
+    size = math.sqrt(dot(normal, normal))
+    if size > 0.0:
+        body = model.contact_body[contact]
+        nearest = _nearest_part(model, model.body_part_start[body], model.body_part_start[body + 1], middle)
+        if nearest != part:
+            part, axis = nearest, shaft(model.part_axis, nearest)
+        state.side[side] = latch(state.side[side], facing(middle, normal, axis, model.part_reach[part]) / size)
+    elif state.side[side] == 0:
+        state.side[side] = FACING
+    return part, axis
+
+
+@inner
+def turn_sides(model, state, scratch, contact, r, p):
+    """Latch the sides of the triangles near a field anew that touch it or are rejected, as `press_tissue` noted.
+
+    ``r`` and ``p`` are as for `find_near_triangles`.
+    """
+    body, begin = model.contact_body[contact], model.contact_near_start[contact]
+    shift = model.contact_side_start[contact] - model.tissue_triangle_start[model.contact_tissue[contact]]
+    first_part, last_part = model.body_part_start[body], model.body_part_start[body + 1]
+    part, axis = first_part, shaft(model.part_axis, first_part)
+    rejected = 0
+    for k in range(begin, begin + state.near_count[contact]):
+        if scratch.touching[k] == 0:
+            continue
+        t = state.near[k]
+        middle, u, v, w, _ = middle_of(
+            in_body(state, model.triangle_a[t], r, p),
+            in_body(state, model.triangle_b[t], r, p),
+            in_body(state, model.triangle_c[t], r, p),
+        )
+        part, axis = _turn_side(model, state, contact, shift + t, middle, u, v, w, part, axis)
+        if state.side[shift + t] == REJECTED and gap_to(model, first_part, last_part, middle) < 0.0:
+            rejected += 1
+    state.rejected[contact] = rejected
+
+
+@inner
+def find_near_triangles(model, state, scratch, contact, r, p, known, ahead):
     """Find the triangles of a tissue near its body, and on which side of the tissue the body is.
 
     ``r`` and ``p`` [m] are the rotation matrix and the position of the body frame, ``known`` is as for
-    `find_candidates`. The triangles go to state.near, the latched sides to state.side.
+    `find_candidates`, ``ahead`` as for `margin_of`. The triangles go to state.near, the latched sides to state.side. By
+    motion only what is new gets a side, and `turn_sides` looks at the others: no side depends on when detections come.
     """
     tissue, body = model.contact_tissue[contact], model.contact_body[contact]
-    margin = 2.0 * MOTION * model.contact_reach[contact]
+    margin = margin_of(model, contact, ahead)
     low = (
         model.body_low[3 * body] - margin,
         model.body_low[3 * body + 1] - margin,
@@ -83,7 +147,7 @@ def find_near_triangles(model, state, scratch, contact, r, p, known):
     origin, sides = model.tissue_triangle_start[tissue], model.contact_side_start[contact]
     begin = model.contact_near_start[contact]
     first_part, last_part = model.body_part_start[body], model.body_part_start[body + 1]
-    axis_part, axis = first_part, shaft(model.part_axis, first_part)
+    part, axis = first_part, shaft(model.part_axis, first_part)
     n, rejected = 0, 0
     x, y, z = scratch.local_x, scratch.local_y, scratch.local_z
     for k in range(find_candidates(model, state, scratch, contact, r, p, low, high, known)):
@@ -95,20 +159,8 @@ def find_near_triangles(model, state, scratch, contact, r, p, known):
         if not distance < radius + margin:
             state.side[side] = 0
             continue
-        if model.contact_both[contact] == 1:
-            state.side[side] = FACING
-        else:
-            normal = cross((v[0] - u[0], v[1] - u[1], v[2] - u[2]), (w[0] - u[0], w[1] - u[1], w[2] - u[2]))
-            size = math.sqrt(dot(normal, normal))
-            if size > 0.0:
-                outer = (normal[0] / size, normal[1] / size, normal[2] / size)
-                part = _nearest_part(model, first_part, last_part, middle)
-                if part != axis_part:
-                    axis_part, axis = part, shaft(model.part_axis, part)
-                seen = facing(middle, outer, axis, model.part_reach[part])
-                state.side[side] = latch(state.side[side], seen)
-            elif state.side[side] == 0:
-                state.side[side] = FACING
+        if state.side[side] == 0 or not is_by_motion(model):
+            part, axis = _turn_side(model, state, contact, side, middle, u, v, w, part, axis)
         if state.side[side] == REJECTED and distance < 0.0:
             rejected += 1
         state.near[begin + n] = t
@@ -119,13 +171,14 @@ def find_near_triangles(model, state, scratch, contact, r, p, known):
 
 
 @inner
-def find_near_samples(model, state, contact, r, p, r2, p2):
+def find_near_samples(model, state, contact, r, p, r2, p2, ahead):
     """Find the sample points of the contact's other body near the field of its body, into state.near.
 
-    ``r``, ``p`` are the pose of the body with the field, ``r2``, ``p2`` that of the other one.
+    ``r``, ``p`` are the pose of the body with the field, ``r2``, ``p2`` that of the other one, ``ahead`` is as for
+    `margin_of`.
     """
     body, other = model.contact_body[contact], model.contact_other[contact]
-    margin = 2.0 * MOTION * model.contact_reach[contact]
+    margin = margin_of(model, contact, ahead)
     begin = model.contact_near_start[contact]
     first_part, last_part = model.body_part_start[body], model.body_part_start[body + 1]
     n = 0

@@ -11,7 +11,7 @@ ROUNDING = 1e-9  # of lengths, far more than what sums and turns of them err by
 
 
 @pointwise
-def _in_body(state, v, r, p):
+def in_body(state, v, r, p):
     """A vertex in the body frame [m]."""
     return to_body(r, (state.x[v] - p[0], state.y[v] - p[1], state.z[v] - p[2]))
 
@@ -39,7 +39,7 @@ def loosen(model, state, tissue, way):
 @inner
 def _is_beyond(model, state, block, r, p, low, high):
     """Whether the ball around the middle of a block, which holds all of its vertices, lies beyond a face of the box."""
-    q = _in_body(state, model.block_middle[block], r, p)
+    q = in_body(state, model.block_middle[block], r, p)
     reach = (1.0 + ROUNDING) * state.block_reach[block] + ROUNDING * (abs(q[0]) + abs(q[1]) + abs(q[2]))
     low = (low[0] - reach, low[1] - reach, low[2] - reach)
     high = (high[0] + reach, high[1] + reach, high[2] + reach)
@@ -49,7 +49,7 @@ def _is_beyond(model, state, block, r, p, low, high):
 @inner
 def _locate(state, scratch, v, r, p, low, high):
     """Change a vertex to the body frame and mark the faces of the box low, high that it lies beyond."""
-    q = _in_body(state, v, r, p)
+    q = in_body(state, v, r, p)
     scratch.local_x[v] = q[0]
     scratch.local_y[v] = q[1]
     scratch.local_z[v] = q[2]

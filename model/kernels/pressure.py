@@ -15,7 +15,7 @@ from tissue_contact.kernels.contact import (
     press_elastic,
     scatter,
 )
-from tissue_contact.kernels.field import GRID, body_distance, fields_of, seen_outside
+from tissue_contact.kernels.field import GRID, body_distance, fields_of, triangle_distances
 from tissue_contact.kernels.near import gap_to, middle_of
 from tissue_contact.kernels.side import REJECTED
 from tissue_contact.kernels.slots import GATHER, GATHER_REGIONS
@@ -52,13 +52,15 @@ def press_tissue(model, parameters, state, scratch, contact, r, p, velocity, spi
     begin = model.contact_near_start[contact]
     fields, law, noted = fields_of(model), contact_law(model, parameters, contact), scratch.active_a.size > 0
     steep = steepness(model, first_part, last_part)
+    phi, normal_x, normal_y, normal_z = scratch.point_distance, scratch.point_x, scratch.point_y, scratch.point_z
     row, out = GATHER * body, scratch.contact
     fx, fy, fz = scratch.fx, scratch.fy, scratch.fz
     x, y, z, vx, vy, vz = state.x, state.y, state.z, state.vx, state.vy, state.vz
     total, work, dissipated, deepest = 0.0, 0.0, 0.0, 0.0
     for k in range(begin, begin + state.near_count[contact]):
         t = state.near[k]
-        if state.side[sides + t - origin] == REJECTED:
+        scratch.touching[k] = 1 if state.side[sides + t - origin] == REJECTED else 0
+        if scratch.touching[k] == 1:
             continue
         a, b, c = model.triangle_a[t], model.triangle_b[t], model.triangle_c[t]
         ax, ay, az = x[a] - p[0], y[a] - p[1], z[a] - p[2]
@@ -69,21 +71,20 @@ def press_tissue(model, parameters, state, scratch, contact, r, p, velocity, spi
         u, v, w = to_body(r, (ax, ay, az)), to_body(r, (bx, by, bz)), to_body(r, (cx, cy, cz))
         if last - first > FEW and out_of_reach(model, first_part, last_part, steep, u, v, w):
             continue
+        triangle_distances(
+            fields, first_part, last_part, u, v, w,
+            model.point_a[first:last], model.point_b[first:last], model.point_c[first:last],
+            phi, normal_x, normal_y, normal_z,
+        )  # fmt: skip
         for q in range(first, last):
-            wa, wb, wc = model.point_a[q], model.point_b[q], model.point_c[q]
-            spot = (
-                wa * u[0] + wb * v[0] + wc * w[0],
-                wa * u[1] + wb * v[1] + wc * w[1],
-                wa * u[2] + wb * v[2] + wc * w[2],
-            )
-            if seen_outside(fields, first_part, last_part, spot):
-                continue
-            distance, gx, gy, gz = body_distance(fields, first_part, last_part, spot)
+            distance = phi[q - first]
             if not distance < 0.0:
                 continue
-            direction = to_world(r, (gx, gy, gz))
+            scratch.touching[k] = 1
+            direction = to_world(r, (normal_x[q - first], normal_y[q - first], normal_z[q - first]))
             if direction[0] == 0.0 and direction[1] == 0.0 and direction[2] == 0.0:
                 continue  # in the middle of the body, as far from one side as from the other
+            wa, wb, wc = model.point_a[q], model.point_b[q], model.point_c[q]
             arm = (wa * ax + wb * bx + wc * cx, wa * ay + wb * by + wc * cy, wa * az + wb * bz + wc * cz)
             own = moving_point(velocity, spin, arm)
             against = (

@@ -20,10 +20,13 @@ from tissue_contact.kernels.forces import (
     detect_all,
     pose_of,
     tissue_forces,
+    turn_all,
 )
 from tissue_contact.kernels.grasp import close, open_jaws, slide
 from tissue_contact.kernels.implicit import implicit_euler
 from tissue_contact.kernels.laws import KELVIN_VOIGT
+from tissue_contact.kernels.near import is_by_motion
+from tissue_contact.kernels.occupancy import ANYWHERE
 from tissue_contact.kernels.outputs import give
 from tissue_contact.kernels.projective import projective_dynamics
 from tissue_contact.kernels.slots import (
@@ -69,6 +72,8 @@ INPUT_MAX = 1e6  # [m, 1] size of an input: beyond any scene, and no square or p
 PLACE_MAX = 1e6  # [m] sum of the coordinates of a vertex
 STEP_MIN, STEP_MAX = 1e-100, 1e6  # [s] between them no speed overflows and no time is lost
 SWING = 10.0  # symplectic Euler at the share s of its stable limit lets the energy of a motion swing by 1 / (1 - s²)
+HELD = 0.5  # of what may move between two detections, the rest is for tissue that gets faster within a substep
+LATE = 1e-3  # [s] after which greatest speeds and sides are looked at anew within a step
 CALM = 0.2  # of the way in a substep above which motion is resolved: once it is, that below which it no longer is
 UNEXPLAINED = 0.01  # of what was put in that the bodies may get back without it: errors of the schemes
 ROUNDING = 1e-12  # of the energies that a balance is the difference of, and [J], that rounding may gain
@@ -145,6 +150,39 @@ def _check_state(model, state, scratch):
                 scratch.detail[0], scratch.detail[1] = v, total
                 return NONFINITE_STATE
     return OK
+
+
+@inner
+def _is_due(model, state, scratch, dt):
+    """Whether a detection comes after this substep ``dt`` [s], or by motion before the next one, which goes as fast."""
+    rate = motion_rate(model, state, scratch, True) if model.continuous[0] == 1 else 0.0
+    if is_by_motion(model):
+        return state.moved[0] + 2.0 * dt * rate > HELD
+    # Half a substep of slack: the sum of the substeps only rounds to the period.
+    since, slack = state.since_detection[0] + dt, 0.5 * dt
+    return since >= model.detection_period[0] - slack or (since + dt + slack) * rate >= 1.0
+
+
+@inner
+def _look(model, state, scratch, elapsed, dt, checked):
+    """Find what may be touched from the time ``elapsed`` [s] of a step on, in substeps of ``dt`` [s]; the status.
+
+    The state is checked before, if it is not ``checked``.
+    """
+    status = OK if checked else _check_state(model, state, scratch)
+    if status != OK:
+        return status
+    ahead = dt * motion_rate(model, state, scratch, True) if is_by_motion(model) else 1.0
+    return detect_all(model, state, scratch, elapsed, ahead)
+
+
+@inner
+def _note_motion(model, state, scratch, dt, known):
+    """Add to what has moved since the last detection; how far is ``known`` where dt was gone with the speeds of now."""
+    state.since_detection[0] += dt
+    state.moved[0] += dt * motion_rate(model, state, scratch, True)
+    for n in range(model.tissue_rate.size):
+        state.tissue_way[n] += dt * state.tissue_speed[n] if known else ANYWHERE
 
 
 @inner
@@ -312,9 +350,10 @@ def _finds(model, parameters, state, scratch, h, dt):
     find all of them again and again.
     """
     most, usual = 0.0, 0.0
+    late = h if is_by_motion(model) else max(h, model.detection_period[0])
     for k in range(model.contact_body.size):
         body, response = model.contact_body[k], model.contact_response[k]
-        way = travel(model, scratch, k, max(h, model.detection_period[0]))
+        way = travel(model, scratch, k, late)
         depth, size, one = max(model.contact_reach[k] + way, state.deepest[k]), 0.0, 1.0
         if response >= FIELD:
             limit = model.contact_depth[k]
@@ -406,9 +445,9 @@ def initialize(model, parameters, state, inputs, outputs, scratch):
         scratch.factor_key[0] = 0.0  # anew, whatever was before
         ready(model, parameters, scratch, model.step[0])
     scratch.motion[:] = 0.0
-    status = _check_state(model, state, scratch)
-    if status == OK:
-        status = detect_all(model, state, scratch, 0.0, math.inf)
+    for n in range(model.tissue_rate.size):
+        state.tissue_way[n] = ANYWHERE
+    status = _look(model, state, scratch, 0.0, 0.0, False)
     if status != OK:
         return status
     _work_jaws(model, parameters, state, scratch, inputs)
@@ -473,9 +512,14 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
         return SUBSTEP_BUDGET
     scratch.loss[:] = 0.0
     dt, n, done, untold = h / substeps, 0, 0, 0.0
+    checked, age = True, 0.0  # at the end of the last step; since then, or since it was late
     # What symplectic Euler leaves swinging would be sudden motion to the step after it.
     fast = state.resolved[0] > 0.0 and _greatest_speed(state.vx, state.vy, state.vz) * dt > CALM * longest
     while n < substeps:
+        if is_by_motion(model) and state.moved[0] + dt * motion_rate(model, state, scratch, True) > HELD:
+            status = _look(model, state, scratch, n * dt, dt, checked)
+            if status != OK:
+                return status
         untold = dt if n + 1 == substeps and _is_told_by_outputs(model, scheme) else 0.0
         if fast or not _substep(model, parameters, state, scratch, scheme, n * dt, dt, longest, untold):
             fast = False
@@ -491,26 +535,23 @@ def step(model, parameters, state, inputs, h, outputs, scratch):
             scratch.detail[0], scratch.detail[1] = scratch.active_a.size, scratch.active[0]
             return TOO_MANY_POINTS
         _clash(model, parameters, state, scratch, n * dt, dt)
-        state.since_detection[0] += dt
-        due = model.detection_period[0]
-        if model.continuous[0] == 1:
-            # as far as the next substep may go and not beyond
-            rate = motion_rate(model, state, scratch, True)
-            due = min(due, 1.0 / rate - dt if rate > 0.0 else math.inf)
-        # Half a substep of slack: the sum of the substeps only rounds to the period.
-        if state.since_detection[0] >= due - 0.5 * dt:
+        n, done, age = n + 1, done + 1, age + dt
+        due = _is_due(model, state, scratch, dt)
+        late = n == substeps or age >= LATE - 0.5 * dt
+        checked = due or late
+        if checked:
             status = _check_state(model, state, scratch)
-            if status == OK:
-                alone = state.since_detection[0] == dt and scheme not in (EXPLICIT_EULER, RUNGE_KUTTA_4)
-                status = detect_all(model, state, scratch, (n + 1) * dt, dt if alone else math.inf)
             if status != OK:
                 return status
-        n, done = n + 1, done + 1
+        if late and is_by_motion(model):
+            turn_all(model, state, scratch, n * dt)
+        age = 0.0 if late else age
+        _note_motion(model, state, scratch, dt, checked and scheme not in (EXPLICIT_EULER, RUNGE_KUTTA_4))
+        if due and not is_by_motion(model):
+            status = _look(model, state, scratch, n * dt, dt, True)
+            if status != OK:
+                return status
     state.dissipated[0] += sum_of(scratch.loss)
-    if state.since_detection[0] > 0.0:  # else checked since it moved
-        status = _check_state(model, state, scratch)
-        if status != OK:
-            return status
     stored = give(model, parameters, state, scratch, h, untold, done, outputs)
     work = state.work[0] - work
     state.put_in[0] += max(0.0, work) + max(0.0, weight - weight_energy(model, parameters, state))

@@ -17,7 +17,7 @@ from tissue_contact.errors import InputError
 from tissue_contact.fields import CUTS_MAX
 from tissue_contact.geometry import FloatArray
 from tissue_contact.presets import OF_PROJECTIVE, PRESETS, Preset
-from tissue_contact.scene import Contact, Graded, Instrument, Rigid, Scene, Tissue
+from tissue_contact.scene import DETECTION_PERIOD, Contact, Graded, Instrument, Rigid, Scene, Tissue
 from tissue_contact.settings import setting
 from tissue_contact.surfaces import in_own_frame, surface_of, touched_edge
 
@@ -198,7 +198,8 @@ def _detection(scene: Scene, known: Grounds) -> Choices:
 
 
 def _detection_period(scene: Scene, known: Grounds) -> Choices:
-    periods = [_digits(f * scene.solver.detection_period) for f in PERIOD_FACTORS]
+    period = scene.solver.detection_period or DETECTION_PERIOD
+    periods = [_digits(f * period) for f in PERIOD_FACTORS]
     return {f"detection every {1e3 * p:g} ms": [Edit(("solver", "detection_period"), p)] for p in periods}
 
 
@@ -336,7 +337,8 @@ def reference(scene: Scene, known: Grounds, factor: float) -> list[Edit]:
     or by the safety where a mesh stays as it is.
     """
     finer, solver = math.sqrt(factor), scene.solver
-    period = max(solver.detection_period / finer, setting(type(solver), "detection_period").minimum)
+    given = solver.detection_period or DETECTION_PERIOD
+    period = max(given / finer, setting(type(solver), "detection_period").minimum)
     edits = _finer(scene, factor)
     for i, shape in _gradable(scene):
         if shape.reach is not None:

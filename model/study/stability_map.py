@@ -190,9 +190,9 @@ def _pressed(bench: Bench, varied: Mapping[str, float], substeps: int) -> tuple[
 def _instance(bench: Bench, varied: Mapping[str, float], substeps: int) -> Instance:
     """The scene with the values of a cell on the axes that are varied; all else is its own."""
     own, values = bench.values, {**bench.values, **varied}
-    model = bench.assembly.model._replace(
-        substeps_fixed=np.array([substeps], np.uint32), detection_period=np.array([values["detection_period"]])
-    )
+    model = bench.assembly.model._replace(substeps_fixed=np.array([substeps], np.uint32))
+    if "detection_period" in varied:
+        model = model._replace(detection_period=np.array([varied["detection_period"]]))
     instance = Instance(replace(bench.assembly, model=model))
     tissues = TISSUE_PARAMETERS * model.tissue_rate.size
     tissue = instance.parameters[:tissues].reshape(-1, TISSUE_PARAMETERS)
