@@ -40,9 +40,9 @@ def assembly_of(sheet: Path, solver: str = bench.PRESET.format("accurate"), cont
     return assemble(parse_scene(bench.on_sheet(sheet, solver, contact).encode(), sheet.parent))
 
 
-def graded_assembly(folder: Path) -> Assembly:
+def graded_assembly(folder: Path, contact: str) -> Assembly:
     """The bench's scene with the preset fast on a sheet that is graded, in the place of one of equal cells."""
-    return assemble(parse_scene(bench.scene_text(bench.GRADED, bench.PRESET.format("fast")).encode(), folder))
+    return assemble(parse_scene(bench.scene_text(bench.GRADED, bench.PRESET.format("fast"), contact).encode(), folder))
 
 
 def lowest_of(assembly: Assembly) -> Real:

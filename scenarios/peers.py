@@ -42,7 +42,8 @@ EVERY = 4  # of its milliseconds in contact, how many are one moment to find pai
 THINNED = {"1.5K": 1, "6K": 1, "24K": 2, "96K": 5}  # of these moments, how many are one on a sheet
 ROUNDS = {"detection": 3, "step": 10}
 OURS = "tissue-contact"
-GRADED = "graded"  # as fine as the sheet where the rod gets to, coarser beyond
+# As fine as the sheet where the rod gets to, coarser beyond; and with points as far apart as the bench's sparse ones
+GRADED, SPARSE = "graded", "graded, sparse"
 # What a name stands for in the tables, and the package whose version is told
 TOLD: dict[str, tuple[str, str]] = {
     OURS: ("tissue-contact, exact pairs", "tissue-contact"),
@@ -53,6 +54,7 @@ TOLD: dict[str, tuple[str, str]] = {
     "python-fcl": ("FCL, rebuilt", "python-fcl"),
     **{preset: (f"tissue-contact, FMU, preset {preset}", "tissue-contact") for preset in PRESETS},
     GRADED: ("tissue-contact, FMU, preset fast, sheet graded", "tissue-contact"),
+    SPARSE: ("tissue-contact, FMU, preset fast, sheet graded, points 1 mm apart", "tissue-contact"),
     "edge loop": ("plain loop over the springs, 22 substeps", "numba"),
     "pypbd": ("pyPBD, XPBD, 10 iterations, no contact", "pypbd"),
     "mujoco": ("MuJoCo flex, discrete, CG", "mujoco"),
@@ -129,9 +131,12 @@ def stepping(scene: PeerScene, left_out: dict[str, str], say: Say) -> dict[str, 
         say(f"building: {preset}")
         assembly = assembly_of(scene.sheet, bench.PRESET.format(preset))
         fmus[preset] = build(assembly, scene.sheet.with_name(f"{preset}.fmu"), [host_platform()])
-    graded = graded_assembly(scene.sheet.parent)
-    fmus[GRADED] = build(graded, scene.sheet.with_name(f"{GRADED}.fmu"), [host_platform()])
-    lowest = dict.fromkeys(PRESETS, scene.lowest[PRESSED]) | {GRADED: lowest_of(graded)[PRESSED]}
+    lowest = dict.fromkeys(PRESETS, scene.lowest[PRESSED])
+    for name, contact in ((GRADED, bench.CONTACT), (SPARSE, bench.SPARSE)):
+        say(f"building: {name}")
+        graded = graded_assembly(scene.sheet.parent, contact)
+        fmus[name] = build(graded, scene.sheet.with_name(f"{name}.fmu"), [host_platform()])
+        lowest[name] = lowest_of(graded)[PRESSED]
     touching = slice(int(scene.moments[0]) - 1, int(scene.moments[-1]))
 
     def work(name: str) -> tuple[Real, int, float]:
