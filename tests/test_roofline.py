@@ -42,14 +42,13 @@ def test_counts_follow_the_sizes_of_the_arrays():
     explicit, implicit = (
         assembled(SCENE.format(integrator=f"{name}")) for name in ("symplectic_euler", "projective_dynamics")
     )
-    found = {part.name: part for part in parts(explicit, explicit.state, explicit.scratch, 7, 1)}
+    found = {part.name: part for part in parts(explicit, explicit.state, explicit.scratch, 7)}
     springs, vertices = explicit.model.spring_i.size, explicit.model.rest_x.size
     assert found["springs"] == Part("springs", 7, 20 * springs, springs, 24 * springs + 72 * vertices)
     assert found["contact"].passes == 8
     assert found["contact"].flops == 0  # nothing is near at the start
-    assert found["detection"] == Part("detection", 1, 24 * vertices, 0, 52 * vertices)
     implicit = assembled(SCENE.format(integrator="projective_dynamics"))
-    found = {part.name: part for part in parts(implicit, implicit.state, implicit.scratch, 1, 1)}
+    found = {part.name: part for part in parts(implicit, implicit.state, implicit.scratch, 1)}
     m = implicit.model
     below, rows = np.diff(m.factor_start.astype(int)) - 4, m.factor_vertex.size
     # of a panel's columns each reaches those after it in the panel, and all rows below
@@ -58,7 +57,6 @@ def test_counts_follow_the_sizes_of_the_arrays():
     size = 16 * n + 8 * m.factor_row.size + 136 * rows
     assert found["substitutions"] == Part("substitutions", 3, 12 * n + 3 * rows, 0, size)
     assert found["pressed rows"].flops == 0
-    assert found["detection"].flops == 24 * m.block_middle.size > 0, "only the middles of blocks"
     assert found["contact"].passes == 4, "one for every iteration, and one for the outputs"
 
 
