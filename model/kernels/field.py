@@ -20,6 +20,7 @@ from tissue_contact.kernels.compiled import inner, pointwise
 from tissue_contact.kernels.vectors import dot
 
 NONE, CAPSULE, BOX, CYLINDER, GRID = 0, 1, 2, 3, 4
+LANES = 4  # points of a triangle from which on vectors pay
 FAR = 1e30  # [m] phi where a part has no field: beyond every depth and gap, its square still finite
 
 
@@ -220,7 +221,7 @@ def triangle_distances(fields, first_part, last_part, u, v, w, wa, wb, wc, phi, 
         phi[q], gx[q], gy[q], gz[q] = FAR, 0.0, 0.0, 0.0
     for part in range(first_part, last_part):
         i = start[part]
-        if kinds[part] == CAPSULE:
+        if kinds[part] == CAPSULE and wa.size >= LANES:
             a, b, r = _three(value, i), _three(value, i + 3), value[i + 6]
             for q in range(wa.size):
                 found = _capsule(a, b, r, _point(u, v, w, wa[q], wb[q], wc[q]))
