@@ -197,9 +197,13 @@ def _detection(scene: Scene, known: Grounds) -> Choices:
     return {word: [Edit(("solver", "detection"), word)] for word in ("continuous", "discrete")}
 
 
+def _period(scene: Scene) -> float:
+    """Detection period [s] that others are told from, also where the motion alone asks for detections."""
+    return scene.solver.detection_period or DETECTION_PERIOD
+
+
 def _detection_period(scene: Scene, known: Grounds) -> Choices:
-    period = scene.solver.detection_period or DETECTION_PERIOD
-    periods = [_digits(f * period) for f in PERIOD_FACTORS]
+    periods = [_digits(f * _period(scene)) for f in PERIOD_FACTORS]
     return {f"detection every {1e3 * p:g} ms": [Edit(("solver", "detection_period"), p)] for p in periods}
 
 
@@ -337,8 +341,7 @@ def reference(scene: Scene, known: Grounds, factor: float) -> list[Edit]:
     or by the safety where a mesh stays as it is.
     """
     finer, solver = math.sqrt(factor), scene.solver
-    given = solver.detection_period or DETECTION_PERIOD
-    period = max(given / finer, setting(type(solver), "detection_period").minimum)
+    period = max(_period(scene) / finer, setting(type(solver), "detection_period").minimum)
     edits = _finer(scene, factor)
     for i, shape in _gradable(scene):
         if shape.reach is not None:
