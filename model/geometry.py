@@ -118,6 +118,12 @@ def _area_vectors(surface: Surface) -> FloatArray:
     return 0.5 * np.cross(b - a, c - a)
 
 
+def unit(vectors: FloatArray) -> FloatArray:
+    """Vectors, shape (..., 3), with a length of 1; zero where there is none."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+
+
 def triangle_areas(surface: Surface) -> FloatArray:
     """Area of every triangle [m²], shape (m,)."""
     return np.linalg.norm(_area_vectors(surface), axis=1)
@@ -125,9 +131,14 @@ def triangle_areas(surface: Surface) -> FloatArray:
 
 def triangle_normals(surface: Surface) -> FloatArray:
     """Outer unit normal of every triangle, shape (m, 3); zero for a triangle without area."""
-    vectors = _area_vectors(surface)
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+    return unit(_area_vectors(surface))
+
+
+def vertex_normals(surface: Surface) -> FloatArray:
+    """Outer unit normal of every vertex, the mean of its triangles' by area, shape (n, 3); zero where there is none."""
+    sums = np.zeros_like(surface.vertices)
+    np.add.at(sums, surface.triangles, _area_vectors(surface)[:, None])
+    return unit(sums)
 
 
 def triangle_heights(surface: Surface) -> FloatArray:
@@ -202,10 +213,16 @@ def flaps(surface: Surface) -> IntArray:
     return np.ascontiguousarray(opposite, np.int32).reshape(-1, 2)
 
 
+def boundary_edges(triangles: IntArray) -> IntArray:
+    """Edges that only one triangle uses, each as that triangle runs along it, shape (k, 2)."""
+    use = _edge_use(triangles)
+    half = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+    return np.asarray(half[use.count[use.edge] == 1], np.int32)
+
+
 def boundary_vertices(surface: Surface) -> IntArray:
     """Vertices of the edges that only one triangle uses, ascending, shape (k,)."""
-    use = _edge_use(surface.triangles)
-    return np.unique(use.edges[use.count == 1]).astype(np.int32)
+    return np.unique(boundary_edges(surface.triangles))
 
 
 def components(surface: Surface) -> IntArray:
@@ -740,14 +757,26 @@ def nearest_place(surface: Surface, points: ArrayLike) -> tuple[IntArray, FloatA
     """
     corners = surface.vertices[surface.triangles]
     places = np.asarray(points, np.float64).reshape(-1, 3)
-    triangle = np.empty(len(places), np.int32)
-    weight = np.empty((len(places), 3))
-    for k, point in enumerate(places):
-        feet = trimesh.triangles.closest_point(corners, np.broadcast_to(point, (len(corners), 3)))
-        triangle[k] = np.argmin(((feet - point) ** 2).sum(axis=1))
-        foot = feet[triangle[k]]
-        weight[k] = trimesh.triangles.points_to_barycentric(corners[triangle[k] : triangle[k] + 1], foot[None])[0]
-    return triangle, weight
+    if not len(places):
+        return np.empty(0, np.int32), np.empty((0, 3))
+    middle = corners.mean(axis=1)
+    radius = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
+    near, _ = cKDTree(corners.reshape(-1, 3)).query(places)
+    # A triangle nearer than the nearest corner has its middle no farther than that and its own radius. Those of about
+    # one size are looked at together: a single large one would make candidates of all.
+    pairs = []
+    size = np.frexp(radius)[1]
+    for group in np.unique(size):
+        own = np.flatnonzero(size == group)
+        found = cKDTree(middle[own]).query_ball_point(places, (near + radius[own].max()) * (1 + 1e-9))
+        point = np.repeat(np.arange(len(places)), [len(f) for f in found])
+        pairs.append(np.column_stack([point, own[np.concatenate(found).astype(np.intp)]]))
+    point, candidate = np.concatenate(pairs).T
+    feet = trimesh.triangles.closest_point(corners[candidate], places[point])
+    order = np.lexsort((candidate, ((feet - places[point]) ** 2).sum(axis=1), point))
+    best = order[np.r_[True, np.diff(point[order]) > 0]]
+    triangle = candidate[best].astype(np.int32)
+    return triangle, np.asarray(trimesh.triangles.points_to_barycentric(corners[triangle], feet[best]))
 
 
 class Hull(NamedTuple):

@@ -57,6 +57,15 @@ class Grading:
             return np.ones(len(points))
         return 1.0 + self._growth * distance_to_box(points, self._box) / self._finest
 
+    def edge(self, points: FloatArray) -> FloatArray:
+        """Wanted length of an edge [m] at points [m] of shape (n, 3)."""
+        return self._finest * self.coarseness(points)
+
+    def weight(self, corners: FloatArray) -> FloatArray:
+        """Twice the area [m²] of triangles over their squared coarseness; ``corners`` [m], shape (m, 3, 3)."""
+        twice = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        return np.asarray(twice / self.coarseness(corners.mean(axis=1)) ** 2)
+
     def thinned(
         self, points: FloatArray, to_space: Callable[[FloatArray], FloatArray], rng: np.random.Generator
     ) -> FloatArray:

@@ -81,23 +81,30 @@ def _seed() -> Any:
     return quantity("1", 0, 2**31 - 1, "number that picks one of the irregular triangulations", 0)
 
 
-class Graded(Settings):
-    """What generated tissues share: a mesh that is finest where it is touched."""
+class Reach(Settings):
+    """Where a tissue is touched, and how its mesh gets coarser beyond."""
 
-    triangles: int = _triangles(more=", with a reach if it were as fine all over")
     reach: Corners | None = items(
-        "m", "least and greatest corner of a box in the shape's frame, beyond which the mesh gets coarser", None
+        "m",
+        "least and greatest corner of a box in the frame of the shape or the mesh, beyond which it gets coarser",
+        None,
     )
     growth: float = quantity(
         "1", 0.01, GROWTH_MAX, "how much longer edges get beyond the reach, over their distance from it", GROWTH
     )
 
     @model_validator(mode="after")
-    def _grows_beyond_reach(self) -> "Graded":
+    def _grows_beyond_reach(self) -> "Reach":
         if self.reach is None and "growth" in self.model_fields_set:
             rule = "growth has no meaning where the mesh is as fine all over"
             raise broken(("growth",), rule, show(self.growth), "Give reach, or remove growth")
         return self
+
+
+class Graded(Reach):
+    """What generated tissues share: a mesh that is finest where it is touched."""
+
+    triangles: int = _triangles(more=", with a reach if it were as fine all over")
 
 
 class Patch(Graded):
@@ -248,7 +255,7 @@ Fixed = Annotated[
 ]
 
 
-class Tissue(_Body):
+class Tissue(Reach, _Body):
     """A deformable surface of springs."""
 
     name: Name = Field("tissue", description="name, first part of the names of its variables")
@@ -286,6 +293,21 @@ class Tissue(_Body):
             other = "thickness" if layer[0] == "youngs_modulus" else "youngs_modulus"
             raise broken((other,), rule, f"{layer[0]} alone", f"Add {other}, or give stiffness instead")
         return self
+
+    @model_validator(mode="after")
+    def _reach_of_mesh(self) -> "Tissue":
+        if self.reach is not None and self.shape is not None:
+            raise broken(("reach",), "the reach of a shape is part of the shape", show(self.reach), "Move it to shape")
+        if self.reach is not None and isinstance(self.fixed, tuple):
+            rule = "with a reach the vertices of a mesh have other numbers than in its file"
+            way_out = "Give fixed = {box = [[…], […]]}, or remove reach"
+            raise broken(("fixed",), rule, f"{len(self.fixed)} numbers", way_out)
+        return self
+
+    @property
+    def meshing(self) -> Reach:
+        """What says how fine it is where: its shape if it is generated, or itself."""
+        return self.shape if isinstance(self.shape, Graded) else self
 
     @property
     def beyond_springs(self) -> list[str]:

@@ -20,12 +20,12 @@ from scipy.spatial import ConvexHull, Delaunay
 
 from tissue_contact.boxes import Corners
 from tissue_contact.errors import InputError
-from tissue_contact.geometry import FloatArray, IntArray, Surface, interior_edges, volume
+from tissue_contact.geometry import FloatArray, IntArray, Surface, volume
 from tissue_contact.grading import GROWTH, Grading
+from tissue_contact.relaxation import centred, in_order, swapped
 
 RELAXATIONS = 30  # rounds of Lloyd smoothing; more gain less than a degree in the smallest angle
 SAC_FILLET = 0.3  # radius of the rounded rim of a hernia's opening over the opening's radius
-SWAP_COSINE = 0.7  # edges are swapped between triangles nearly in one plane only: sharp ones are shape
 LEAST_VERTICES = 12  # of a closed organ: those of the 20 triangles that it has at least
 JAW_GAP = 0.02  # between closed jaws over their width, so that two parts never share an edge
 SAC_BULGE = 0.6  # how much the sac is wider than its neck: the widest place is 1.35 times the neck
@@ -54,13 +54,6 @@ def _size(place: str, size: float | Sequence[float], n: int) -> FloatArray:
     good = lengths.shape in ((1,), (n,)) and bool(np.isfinite(lengths).all() and (lengths > 0).all())
     _require(good, f"{place}, size", f"must be 1 or {n} positive lengths in metres", size, "Give size > 0")
     return np.broadcast_to(lengths, n).copy()
-
-
-def _sorted(triangles: np.ndarray) -> IntArray:
-    """Triangles with the lowest vertex first, in ascending order: independent of the triangulator's order."""
-    lead = triangles.argmin(axis=1)
-    turned = np.take_along_axis(triangles, (lead[:, None] + np.arange(3)) % 3, axis=1)
-    return np.ascontiguousarray(turned[np.lexsort(turned.T[::-1])], np.int32)
 
 
 def _spread(n: int, dimension: int, rng: np.random.Generator) -> FloatArray:
@@ -190,7 +183,7 @@ def _delaunay(plan: FloatArray) -> IntArray:
     twice = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     longest = np.maximum.reduce([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))])
     found = np.where((twice < 0)[:, None], found[:, ::-1], found)
-    return _sorted(found[np.abs(twice) > 1e-9 * longest])
+    return in_order(found[np.abs(twice) > 1e-9 * longest])
 
 
 def _relaxed(
@@ -204,21 +197,11 @@ def _relaxed(
     fixed = len(rim)
     for _ in range(RELAXATIONS):
         triangles = _delaunay(plan)
-        corner = to_space(plan)[triangles]
-        area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-        area /= grading.coarseness(corner.mean(axis=1)) ** 2
-        plan[fixed:] = _middle(triangles, plan[triangles].mean(axis=1), area, plan)[fixed:]
+        weight = grading.weight(to_space(plan)[triangles])
+        plan[fixed:] = centred(triangles, plan[triangles].mean(axis=1), weight, plan)[fixed:]
     surface = Surface(to_space(plan), _delaunay(plan))
     grading.check(surface.vertices)
     return surface
-
-
-def _middle(triangles: IntArray, centre: FloatArray, weight: FloatArray, vertices: FloatArray) -> FloatArray:
-    """For every vertex the weighted mean of its triangles' centres; a vertex of none stays."""
-    corners, n = triangles.ravel(), len(vertices)
-    total = np.bincount(corners, np.repeat(weight, 3), n)[:, None]
-    sums = np.column_stack([np.bincount(corners, np.repeat(weight * x, 3), n) for x in centre.T])
-    return np.divide(sums, total, out=vertices.copy(), where=total > 0)
 
 
 def abdominal_wall(
@@ -364,12 +347,11 @@ def ellipsoid(
     way_out = "Ask for more, or enlarge the reach"
     _require(len(vertices) >= LEAST_VERTICES, "ellipsoid, triangles", rule, triangles, way_out)
     for _ in range(RELAXATIONS):
-        hull = _swapped(vertices, _hull(vertices))
+        hull = swapped(vertices, _hull(vertices))
         corner = vertices[hull]
-        area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-        area /= grading.coarseness(corner.mean(axis=1)) ** 2
-        vertices = lifted(_middle(hull, lifted(corner.mean(axis=1)), area, vertices))
-    surface = Surface(vertices, _swapped(vertices, _hull(vertices)))
+        weight = grading.weight(corner)
+        vertices = lifted(centred(hull, lifted(corner.mean(axis=1)), weight, vertices))
+    surface = Surface(vertices, swapped(vertices, _hull(vertices)))
     full = 4 / 3 * np.pi * half.prod()
     rule = "must suffice for half the ellipsoid's volume"
     way_out = "Ask for more triangles or for rounder radii"
@@ -383,42 +365,7 @@ def _hull(vertices: FloatArray) -> IntArray:
     found = ConvexHull(vertices).simplices
     a, b, c = np.moveaxis(vertices[found], 1, 0)
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a - vertices.mean(axis=0)) < 0
-    return _sorted(np.where(inward[:, None], found[:, ::-1], found))
-
-
-def _swapped(vertices: FloatArray, triangles: IntArray) -> IntArray:
-    """Swap edges until opposite angles sum to at most π: a slim body's hull is needlessly acute."""
-    triangles = triangles.copy()
-    for _ in range(100):
-        edge, half = interior_edges(triangles)
-        t, s = half // 3, half % 3
-        a, b = triangles[t[:, 0], s[:, 0]], triangles[t[:, 0], (s[:, 0] + 1) % 3]
-        c, d = (triangles[t[:, i], (s[:, i] + 2) % 3] for i in (0, 1))
-        total = _angle(vertices, a, c, b) + _angle(vertices, a, d, b)
-        n = len(vertices)
-        known = np.isin(
-            np.minimum(c, d).astype(np.int64) * n + np.maximum(c, d),
-            edge[:, 0].astype(np.int64) * n + edge[:, 1],
-        )
-        normal = np.cross(vertices[b] - vertices[a], vertices[c] - vertices[a])
-        across = np.cross(vertices[a] - vertices[b], vertices[d] - vertices[b])
-        cosine = np.einsum("ij,ij->i", normal, across)
-        smooth = cosine > SWAP_COSINE * np.linalg.norm(normal, axis=1) * np.linalg.norm(across, axis=1)
-        wanted = np.flatnonzero((total > np.pi + 1e-6) & ~known & smooth)
-        if not len(wanted):
-            break
-        busy: set[int] = set()
-        for i in wanted[np.argsort(-total[wanted], kind="stable")]:
-            around = {*triangles[t[i, 0]].tolist(), *triangles[t[i, 1]].tolist()}
-            if not busy & around:
-                busy |= around
-                triangles[t[i, 0]], triangles[t[i, 1]] = (a[i], d[i], c[i]), (d[i], b[i], c[i])
-    return _sorted(triangles)
-
-
-def _angle(vertices: FloatArray, a: IntArray, corner: IntArray, b: IntArray) -> FloatArray:
-    u, v = vertices[a] - vertices[corner], vertices[b] - vertices[corner]
-    return np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.einsum("ij,ij->i", u, v))
+    return in_order(np.where(inward[:, None], found[:, ::-1], found))
 
 
 # --- instruments ------------------------------------------------------------------------------------------

@@ -7,10 +7,11 @@ import numpy as np
 
 from tissue_contact import geometry, shapes
 from tissue_contact.boxes import distance_to_box
+from tissue_contact.coarsening import coarsened
 from tissue_contact.errors import InputError
 from tissue_contact.fields import longest_edges
 from tissue_contact.geometry import FloatArray, Surface
-from tissue_contact.scene import Graded, Instrument, Rigid, Tissue
+from tissue_contact.scene import Instrument, Rigid, Tissue
 
 
 def rotation_matrix(quaternion: tuple[float, ...]) -> FloatArray:
@@ -53,7 +54,8 @@ def surface_of(body: Tissue | Instrument | Rigid, folder: Path, place: str = "sc
     Raises
     ------
     InputError
-        A missing, unreadable or unsuitable mesh, a wrong unit scale, arguments that make no shape.
+        A missing, unreadable or unsuitable mesh, a wrong unit scale, a reach that holds none of it, arguments that make
+        no shape.
 
     """
     purpose: Literal["tissue", "instrument"] = "tissue" if isinstance(body, Tissue) else "instrument"
@@ -72,6 +74,8 @@ def surface_of(body: Tissue | Instrument | Rigid, folder: Path, place: str = "sc
                 many_parts=body.many_parts,
                 purpose=purpose,
             )
+            if isinstance(body, Tissue) and body.reach is not None:
+                surface = coarsened(surface, body.reach, body.growth, "reach")
     except InputError as error:
         raise InputError(f"{here}, {error.place}", error.rule, error.value, error.way_out) from error
     if body.flip:
@@ -85,9 +89,10 @@ def touched_edge(body: Tissue | Instrument | Rigid, surface: Surface) -> float:
     A corner on the very edge of the reach may be out of it by rounding, as it was placed: the nearest are as good.
     """
     edges = longest_edges(surface)
-    if not isinstance(body.shape, Graded) or body.shape.reach is None:
+    reach = body.meshing.reach if isinstance(body, Tissue) else None
+    if reach is None:
         return float(edges.max())
-    distance = distance_to_box(in_own_frame(body, surface.vertices), body.shape.reach)
+    distance = distance_to_box(in_own_frame(body, surface.vertices), reach)
     nearest = distance == distance.min()
     return float(edges[nearest[surface.triangles].any(axis=1)].max())
 

@@ -421,7 +421,7 @@ class _Search:
         request, points = self.request, self.points(times)
         left = levers.meshes_left(self.scenario.scene)
         if left:
-            self.remarks.append(f"The mesh of {', '.join(left)} stays as it is: what it errs by is in no figure.")
+            self.remarks.append(f"The mesh of {', '.join(left)} gets no finer: what it errs by is in no figure.")
         low, high = self.references
         doubtful = unresolved(front([p for p in points if p.timed], request.measure), request.measure, self.convergence)
         if doubtful:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -649,3 +650,25 @@ def test_box_of_flat_and_straight_points(flatness):
     check_box(points @ rotation.T, centre, axes, half)
     expected = [0, 0.005, 0.01] if flatness == 2 else [0, 0, 0.01]
     assert sorted(half) == pytest.approx(expected, abs=1e-12)
+
+
+# --- nearest ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_nearest_place_is_nearer_than_any_other(seed):
+    """Triangles of all sizes, one of them across the whole set, against every triangle for every point."""
+    rng = np.random.default_rng(seed)
+    size = 10.0 ** rng.uniform(-4, -1, (200, 1, 1))
+    corners = rng.uniform(-0.05, 0.05, (200, 1, 3)) + size * rng.normal(size=(200, 3, 3))
+    corners[0] = [[-1, -1, 0.03], [1, -1, 0.03], [0, 1, 0.03]]
+    surface = Surface(corners.reshape(-1, 3), np.arange(600).reshape(-1, 3))
+    points = rng.uniform(-0.1, 0.1, (150, 3))
+    triangle, weight = geometry.nearest_place(surface, points)
+    feet = np.einsum("ij,ijk->ik", weight, corners[triangle])
+    for point, foot in zip(points, feet, strict=True):
+        every = trimesh.triangles.closest_point(corners, np.broadcast_to(point, (200, 3)))
+        least = np.linalg.norm(every - point, axis=1).min()
+        assert np.linalg.norm(foot - point) == pytest.approx(least, rel=1e-9, abs=1e-12)
+    nothing = geometry.nearest_place(surface, np.empty((0, 3)))
+    assert nothing[0].shape == (0,) and nothing[1].shape == (0, 3)

@@ -164,6 +164,21 @@ WRONG = {
         "triangles = 600, reach = [[0, 0, 1], [1, 1, 0]]",
         ["tissue[0].shape.reach:", "least", "[0.0, 0.0, 1.0]"],
     ),
+    "reach beside a shape": (
+        "areal",
+        "reach = [[0, 0, 0], [1, 1, 1]]\nareal",
+        ["tissue[0].reach", "part of the shape", "Move it to shape"],
+    ),
+    "numbers of a mesh with a reach": (
+        TEXT[TEXT.index("shape") : TEXT.index("areal")],
+        'mesh = "a.stl"\nreach = [[0, 0, 0], [1, 1, 1]]\nfixed = [0, 1]\n',
+        ["tissue[0].fixed", "other numbers than in its file", "2 numbers", "remove reach"],
+    ),
+    "growth of a mesh alone": (
+        TEXT[TEXT.index("shape") : TEXT.index("areal")],
+        'mesh = "a.stl"\ngrowth = 0.2\n',
+        ["tissue[0].growth", "all over", "Give reach"],
+    ),
     "fixed box order": (
         "areal",
         "fixed = { box = [[0, 0, 1], [1, 1, 0]] }\nareal",

@@ -211,6 +211,21 @@ def test_a_reach_turns_with_the_tissue_and_held_or_regular_meshes_stay():
         assert not chosen(levers.options(scene, replace(known_of(scene), touched=touched)), "grading")
 
 
+def test_a_mesh_from_a_file_is_coarser_beyond_what_was_touched(tmp_path):
+    flat = patch((0.02, 0.02), 300)
+    mesh = f'mesh = "{write_mesh(tmp_path / "sheet.obj", flat.vertices, flat.triangles)}"\nopen_surface = true'
+    touched = {"contact": np.array([[-0.002, -0.001, -0.001], [0.002, 0.001, 0.0]])}
+    scene = parse_scene(WHOLE.format(source=mesh).encode(), tmp_path)
+    option = chosen(levers.options(scene, replace(known_of(scene), touched=touched)), "grading")
+    made = levers.variant(scene, (next(iter(option.values())),))
+    low, _ = np.array(made.tissue[0].reach)
+    assert low == pytest.approx(touched["contact"][0] - 2 * known_of(scene).half["contact"], rel=1e-3)
+    assert len(surface_of(made.tissue[0], tmp_path).triangles) < 300
+    finest = changed(made, levers.reference(made, known_of(made), 16.0))
+    assert finest.tissue[0] == scene.tissue[0], "nothing of a file is finer than all of it"
+    assert "as fine all over" in chosen(levers.options(made, replace(known_of(made), touched=touched)), "grading")
+
+
 def test_points_are_as_close_as_a_graded_mesh_is_fine_where_it_is_touched():
     """Its coarse edges, which nothing gets to, do not forbid it."""
     near = "reach = [[-0.002, -0.002, 0], [0.002, 0.002, 0]]"

@@ -216,12 +216,11 @@ def _mesh(scene: Scene, known: Grounds) -> Choices:
 
 
 def _grading(scene: Scene, known: Grounds) -> Choices:
-    """Generated tissues as fine as they are only around what was touched, and all over."""
+    """Tissues as fine as they are only around what was touched, and all over."""
     choices: Choices = {}
     for margin, growth in GRADINGS:
         edits = []
-        for i, _ in _gradable(scene):
-            tissue = scene.tissue[i]
+        for tissue, own in _gradable(scene):
             boxes = [
                 _in_frame(tissue, known.touched[c.name]) + margin * known.half[c.name] * np.array([[-1.0], [1.0]])
                 for c in scene.contact
@@ -230,20 +229,20 @@ def _grading(scene: Scene, known: Grounds) -> Choices:
             if boxes:
                 low, high = np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]
                 reach = tuple(tuple(_digits(x) for x in corner.tolist()) for corner in (low, high))
-                edits += [Edit(("tissue", i, "shape", "reach"), reach), Edit(("tissue", i, "shape", "growth"), growth)]
+                edits += [Edit((*own, "reach"), reach), Edit((*own, "growth"), growth)]
         choices[f"graded from {margin:g} half thicknesses on, growth {growth:g}"] = edits
-    keys = ("reach", "growth")
-    choices["as fine all over"] = [Edit(("tissue", i, "shape", key), None) for i, _ in _gradable(scene) for key in keys]
+    everywhere = [Edit((*own, key), None) for _, own in _gradable(scene) for key in ("reach", "growth")]
+    choices["as fine all over"] = everywhere
     return choices
 
 
-def _gradable(scene: Scene) -> list[tuple[int, Graded]]:
-    """Shapes that may be graded, with the places of their tissues: not where vertices are held by number."""
+def _gradable(scene: Scene) -> list[tuple[Tissue, tuple[str | int, ...]]]:
+    """Tissues that may be graded, with the place of what says so: not where vertices are held by number."""
     return [
-        (i, tissue.shape)
+        (tissue, ("tissue", i, "shape") if tissue.shape is not None else ("tissue", i))
         for i, tissue in enumerate(scene.tissue)
-        if isinstance(tissue.shape, Graded)
-        and not isinstance(tissue.fixed, tuple)
+        if not isinstance(tissue.fixed, tuple)
+        and (tissue.shape is None or isinstance(tissue.shape, Graded))
         and getattr(tissue.shape, "irregular", True)
     ]
 
@@ -343,10 +342,12 @@ def reference(scene: Scene, known: Grounds, factor: float) -> list[Edit]:
     finer, solver = math.sqrt(factor), scene.solver
     period = max(_period(scene) / finer, setting(type(solver), "detection_period").minimum)
     edits = _finer(scene, factor)
-    for i, shape in _gradable(scene):
-        if shape.reach is not None:
-            growth = max(shape.growth / finer, setting(Graded, "growth").minimum)
-            edits.append(Edit(("tissue", i, "shape", "growth"), growth))
+    for tissue, own in _gradable(scene):
+        if tissue.shape is None:
+            edits += [Edit((*own, key), None) for key in ("reach", "growth")]
+        elif tissue.meshing.reach is not None:
+            growth = max(tissue.meshing.growth / finer, setting(Graded, "growth").minimum)
+            edits.append(Edit((*own, "growth"), growth))
     keys = {
         "integrator": "symplectic_euler",
         **dict.fromkeys(OF_PROJECTIVE),
