@@ -57,7 +57,8 @@ PRESET = 'preset = "{}"'
 PATCH = 'shape = {{ kind = "patch", size = [0.06, 0.06], triangles = 6000, curvature_radius = 0.4, seed = 1{more} }}'
 IRREGULAR = PATCH.format(more="")
 # As fine as that where the capsule gets to: within two radii of the line that its tip slides along.
-GRADED = PATCH.format(more=", reach = [[-0.01, -0.005, -0.01], [0.01, 0.005, 0.0]]")
+REACH = "reach = [[-0.01, -0.005, -0.01], [0.01, 0.005, 0.0]]"
+GRADED = PATCH.format(more=f", {REACH}")
 CONTACT = """
 [[contact]]
 stiffness_per_area = 1e8
@@ -215,9 +216,11 @@ def measure(levels: Sequence[str], say: Callable[[str], None]) -> dict[str, Any]
         results["overhead"] = fmi_overhead(folder)
         tissues = {level: MESH.format(name=write_sheet(level, folder).name) for level in levels}
         tissues |= {"6K irregular": IRREGULAR, "6K graded": GRADED}
+        tissues |= {"6K with a reach": f"{tissues[COMPARED]}\n{REACH}"} if COMPARED in tissues else {}
         cases = [(level, "accurate", CONTACT) for level in tissues]
         cases += [(level, preset, CONTACT) for level in tissues for preset in sorted(PRESETS.keys() - {"accurate"})]
-        cases += [("6K graded", "fast", SPARSE), ("6K irregular", "accurate", "")]
+        cases += [(level, "fast", SPARSE) for level in ("6K graded", "6K with a reach") if level in tissues]
+        cases += [("6K irregular", "accurate", "")]
         for level, preset, contact in cases:
             what = level + (f" {preset}" if preset != "accurate" else "") + CONTACTS[contact]
             say(what)
