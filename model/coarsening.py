@@ -17,6 +17,8 @@ from tissue_contact.geometry import (
     Surface,
     boundary_edges,
     edges,
+    half_edges,
+    longest_sides,
     nearest_place,
     unit,
     vertex_normals,
@@ -88,10 +90,7 @@ def _spoilt(before: FloatArray, after: FloatArray) -> NDArray[np.bool_]:
     """Which triangles have turned too far or got too thin; corners [m], shape (m, 3, 3)."""
     old, new = (np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]) for c in (before, after))
     size_old, size_new = np.linalg.norm(old, axis=1), np.linalg.norm(new, axis=1)
-    thin_old, thin_new = (
-        size / np.linalg.norm(c - np.roll(c, 1, axis=1), axis=2).max(axis=1) ** 2
-        for size, c in ((size_old, before), (size_new, after))
-    )
+    thin_old, thin_new = size_old / longest_sides(before) ** 2, size_new / longest_sides(after) ** 2
     turned = np.einsum("ij,ij->i", old, new) < FOLD * size_old * size_new
     return np.asarray(turned | (thin_new < np.minimum(THIN, thin_old)))
 
@@ -99,10 +98,8 @@ def _spoilt(before: FloatArray, after: FloatArray) -> NDArray[np.bool_]:
 def _bent(normals: FloatArray, triangles: IntArray) -> NDArray[np.bool_]:
     """Which vertices have an edge along which the surface bends: moved on, they would cut off what is convex."""
     bent = np.zeros(len(normals), bool)
-    for side in (0, 1, 2):
-        a, b = triangles[:, side], triangles[:, (side + 1) % 3]
-        sharp = np.einsum("ij,ij->i", normals[a], normals[b]) < BEND
-        bent[a[sharp]] = bent[b[sharp]] = True
+    ends = half_edges(triangles)
+    bent[ends[np.einsum("ij,ij->i", normals[ends[:, 0]], normals[ends[:, 1]]) < BEND]] = True
     return bent
 
 

@@ -8,7 +8,7 @@ from scipy.ndimage import spline_filter
 
 # numba must know duals before it reads what is cached of them: learning of them in between confuses it
 import tissue_contact.kernels.dual  # noqa: F401
-from tissue_contact.geometry import FloatArray, IntArray, Surface, triangle_areas
+from tissue_contact.geometry import FloatArray, IntArray, Surface, longest_sides, triangle_areas
 from tissue_contact.kernels.field import BOX, CAPSULE, CYLINDER, GRID
 from tissue_contact.kernels.sampling import sample
 
@@ -116,8 +116,7 @@ def sampled(surface: Surface, part: int) -> Field:
 
 def longest_edges(surface: Surface) -> FloatArray:
     """Of every triangle [m]."""
-    corners = surface.vertices[surface.triangles]
-    return np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
+    return longest_sides(surface.vertices[surface.triangles])
 
 
 def quadrature(surface: Surface, spacing: float) -> tuple[IntArray, FloatArray, FloatArray]:

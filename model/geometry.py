@@ -141,10 +141,14 @@ def vertex_normals(surface: Surface) -> FloatArray:
     return unit(sums)
 
 
+def longest_sides(corners: FloatArray) -> FloatArray:
+    """Of every triangle [m], its corners [m] in shape (m, 3, 3)."""
+    return np.asarray(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1))
+
+
 def triangle_heights(surface: Surface) -> FloatArray:
     """Height of every triangle over its longest edge [m], shape (m,); zero when that edge has no length."""
-    corners = surface.vertices[surface.triangles]
-    longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
+    longest = longest_sides(surface.vertices[surface.triangles])
     area = triangle_areas(surface)
     return np.divide(2 * area, longest, out=np.zeros_like(area), where=longest > 0)
 
@@ -179,8 +183,13 @@ class _EdgeUse:
         return order[self.count[self.edge[order]] == 2].reshape(-1, 2)
 
 
+def half_edges(triangles: IntArray) -> IntArray:
+    """Every side of every triangle as the triangle runs along it, shape (3 m, 2), numbered as in `interior_edges`."""
+    return np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+
+
 def _edge_use(triangles: IntArray) -> _EdgeUse:
-    half = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+    half = half_edges(triangles)
     low, high = half.min(axis=1).astype(np.int64), half.max(axis=1).astype(np.int64)
     n = int(triangles.max(initial=0)) + 1
     key, edge, count = np.unique(low * n + high, return_inverse=True, return_counts=True)
@@ -216,8 +225,7 @@ def flaps(surface: Surface) -> IntArray:
 def boundary_edges(triangles: IntArray) -> IntArray:
     """Edges that only one triangle uses, each as that triangle runs along it, shape (k, 2)."""
     use = _edge_use(triangles)
-    half = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
-    return np.asarray(half[use.count[use.edge] == 1], np.int32)
+    return half_edges(triangles)[use.count[use.edge] == 1]
 
 
 def boundary_vertices(surface: Surface) -> IntArray:
