@@ -106,7 +106,7 @@ def build(
             raise InputError("--platform", "the platform must be a known one", name, way_out)
     assembly = assemble(read)
     _tell("drawing the scene")
-    build_fmu(assembly, output, platforms=platform or ALL, picture=still(read), on_progress=_tell)
+    build_fmu(assembly, output, platforms=platform or ALL, picture=still(read, assembly), on_progress=_tell)
     typer.echo(f"wrote {output}")
 
 

@@ -143,7 +143,7 @@ def vertex_normals(surface: Surface) -> FloatArray:
 
 def longest_sides(corners: FloatArray) -> FloatArray:
     """Of every triangle [m], its corners [m] in shape (m, 3, 3)."""
-    return np.asarray(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1))
+    return np.asarray(np.linalg.norm(corners - corners[:, (1, 2, 0)], axis=2).max(axis=1))
 
 
 def triangle_heights(surface: Surface) -> FloatArray:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tissue_contact.assembly import Assembly
 from tissue_contact.files import publish
-from tissue_contact.geometry import Surface, unit
+from tissue_contact.geometry import unit
 from tissue_contact.scenarios.outcome import FloatArray, Trace
 from tissue_contact.scene import Rigid, Scene
 from tissue_contact.simulate import rollout
@@ -150,22 +150,20 @@ def peak(trace: Trace, leader: str | None, scene: Scene, assembly: Assembly, tit
         if variable.block == "inputs":
             inputs[:, variable.slot] = trace.column(variable.name)[: row + 1]
     state = rollout(assembly, inputs, trace.time[1] - trace.time[0]).state
-    model = assembly.model
-    rest = np.column_stack([model.rest_x, model.rest_y, model.rest_z])
-    triangles = np.column_stack([model.triangle_a, model.triangle_b, model.triangle_c])
-    tissue = Mesh(np.column_stack([state.x, state.y, state.z]), triangles)
+    rest = _at_rest(assembly)
+    tissue = Mesh(np.column_stack([state.x, state.y, state.z]), rest.triangles)
     poses = {
         i.name: [trace.column(f"{i.name}.{part}[{k}]")[row] for part, n in POSE for k in range(1, n + 1)]
         for i in scene.instrument
     }
     bodies, rigid, up = _bodies(scene, poses)
-    return picture(tissue, rest, bodies, up, f"{title}: {when}, t = {trace.time[row]:.3f} s", rigid)
+    return picture(tissue, rest.vertices, bodies, up, f"{title}: {when}, t = {trace.time[row]:.3f} s", rigid)
 
 
-def still(scene: Scene) -> bytes:
+def still(scene: Scene, assembly: Assembly) -> bytes:
     """The scene at its start: tissue and bodies, as PNG."""
     poses = {i.name: [*i.start_position, *i.start_orientation] for i in scene.instrument}
-    tissue = _joined([surface_of(t, scene.folder, scene.place) for t in scene.tissue])
+    tissue = _at_rest(assembly)
     bodies, rigid, up = _bodies(scene, poses)
     image = _scene(tissue, np.tile(PALE, (len(tissue.triangles), 1)), bodies, up, rigid)
     height, width = image.shape[:2]
@@ -177,11 +175,13 @@ def still(scene: Scene) -> bytes:
     return png(figure)
 
 
-def _joined(surfaces: Sequence[Surface]) -> Mesh:
-    first = np.cumsum([0] + [len(s.vertices) for s in surfaces])
-    vertices = [s.vertices for s in surfaces] or [np.empty((0, 3))]
-    triangles = [s.triangles + n for s, n in zip(surfaces, first, strict=False)] or [np.empty((0, 3), np.int32)]
-    return Mesh(np.concatenate(vertices), np.concatenate(triangles))
+def _at_rest(assembly: Assembly) -> Mesh:
+    """All tissue."""
+    model = assembly.model
+    return Mesh(
+        np.column_stack([model.rest_x, model.rest_y, model.rest_z]),
+        np.column_stack([model.triangle_a, model.triangle_b, model.triangle_c]),
+    )
 
 
 def _bodies(scene: Scene, poses: Mapping[str, Sequence[float]]) -> tuple[list[Mesh], list[Mesh], FloatArray]:

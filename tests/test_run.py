@@ -470,19 +470,20 @@ def test_picture_shows_tissue_and_instrument_uncut() -> None:
 
 
 def test_a_scene_at_rest(tiny: Scenario) -> None:
-    first = still(tiny.scene)
-    assert first == still(tiny.scene)
+    first = still(tiny.scene, assemble(tiny.scene))
+    assert first == still(tiny.scene, assemble(tiny.scene))
     image = pixels(first)
     red = image[:, :, 0] - image[:, :, 2]
     assert (red > 0.1).mean() > 0.1 and (red < -0.02).any()  # the tissue, the steel
-    higher = SCENE.replace("[0, 0, 0.001]", "[0, 0, 0.011]")
-    assert still(parse_scene(higher.encode(), Path())) != first
+    higher = parse_scene(SCENE.replace("[0, 0, 0.001]", "[0, 0, 0.011]").encode(), Path())
+    assert still(higher, assemble(higher)) != first
 
 
 def test_a_scene_without_tissue_at_rest() -> None:
     text = 'name = "alone"\n[[instrument]]\nshape = { kind = "box", size = [0.01, 0.01, 0.01] }\n'
     bone = '[[rigid]]\nshape = { kind = "sphere", radius = 0.01, triangles = 128 }\nposition = [0.02, 0, 0]\n'
-    alone, both = (pixels(still(parse_scene(t.encode(), Path()))) for t in (text, text + bone))
+    scenes = [parse_scene(t.encode(), Path()) for t in (text, text + bone)]
+    alone, both = (pixels(still(scene, assemble(scene))) for scene in scenes)
     assert (alone[:, :, 2] - alone[:, :, 0] > 0.02).any() and not ivory(alone)
     assert ivory(both) > 1000
 
