@@ -27,6 +27,7 @@ from tissue_contact.kernels import measured
 from tissue_contact.kernels.layout import Real
 from tissue_contact.presets import PRESETS
 from tissue_contact.scene import parse_scene
+from tissue_contact.settings import check_word
 from tissue_contact.variables import Variable
 
 # Cells along a side of the sheet, two triangles each, its length [m] and its support [N/m3]: ever finer; and as fine
@@ -260,6 +261,8 @@ def table(results: dict[str, Any]) -> Table:
 
 def main(output: Path = Path("build/bench.json"), levels: str = ",".join(LEVELS)) -> None:
     """Measure, print and keep the figures."""
+    for level in levels.split(","):
+        check_word("--levels", level, LEVELS)
     console = Console()
     results = measure(levels.split(","), lambda text: console.print(f"measuring: {text}", style="dim"))
     console.print(table(results))

@@ -199,8 +199,8 @@ def instructions(fmu: Path, folder: Path) -> float | None:
 
 def solver_result(solver: str, machine: Machine, folder: Path) -> dict[str, Any]:
     """All figures of one integrator."""
-    mesh = bench.write_sheet(bench.COMPARED, folder)
-    assembly, fmu = bench.built(bench.on_sheet(mesh, solver), folder)
+    text = bench.scene_text(bench.tissue_text(bench.COMPARED, folder), solver)
+    assembly, fmu = bench.built(text, folder)
     outputs, ns = drive(fmu, bench.poses()[1:], bench.STEP)
     around = slice(PRESSED - COUNTED, PRESSED + COUNTED)
     names = [v.name for v in assembly.variables if v.block == "outputs"]

@@ -22,6 +22,7 @@ from tissue_contact.fmu.native import Soak, soak
 from tissue_contact.kernels.layout import Real
 from tissue_contact.scenarios import bench
 from tissue_contact.scenarios.run import bar_of
+from tissue_contact.settings import check_word
 
 LIMIT = 1e6  # ns, real time at a step of 1 ms
 PERCENTILES = {"median": 50, "p99": 99, "p99.9": 99.9, "p99.99": 99.99, "maximum": 100}
@@ -85,7 +86,8 @@ def measure(preset: str, level: str, repeats: int, rounds: int, core: int) -> di
     path = there_and_back()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        _, fmu = bench.built(bench.on_sheet(bench.write_sheet(level, folder), bench.PRESET.format(preset)), folder)
+        text = bench.scene_text(bench.tissue_text(level, folder), bench.PRESET.format(preset))
+        _, fmu = bench.built(text, folder)
         before = stolen(core)
         with bar_of(Console(stderr=True), wanted=True) as bar:
             ran = [soak(fmu, path, bench.STEP, repeats, core) for _ in bar.track(range(rounds), description="rounds")]
@@ -114,6 +116,7 @@ def main(
     core: int | None = None,
 ) -> None:
     """Run, print and keep the figures. Without a core: the last one that this process may use."""
+    check_word("--level", level, bench.LEVELS)
     allowed = sorted(os.sched_getaffinity(0))
     if core is not None and core not in allowed:
         raise InputError("core", "must be one that this process may use", core, f"Choose from {allowed}")

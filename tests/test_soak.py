@@ -6,12 +6,20 @@ import numpy as np
 import pytest
 from fmu_fixture import tiny_fmu
 
-from tissue_contact.errors import WorkError
+from tissue_contact.errors import InputError, WorkError
 from tissue_contact.fmu import native
 from tissue_contact.fmu.native import Soak, soak
+from tissue_contact.scenarios import bench
+from tissue_contact.scenarios import soak as program
 from tissue_contact.scenarios.soak import figures, stolen, there_and_back
 
 LINUX = pytest.mark.skipif(native.host_platform() != "linux64", reason="needs Linux on x86-64")
+
+
+def test_an_unknown_sheet_is_refused():
+    for run in (lambda: program.main(level="6k"), lambda: bench.main(levels="6K,6k")):
+        with pytest.raises(InputError, match="found 6k"):
+            run()
 
 
 def round_of(ns, held_up, processor, outputs=(1.0, 2.0)):
