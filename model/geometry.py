@@ -113,9 +113,17 @@ class Repair:
 # --- measures ---------------------------------------------------------------------------------------------
 
 
+def area_normals(corners: FloatArray) -> FloatArray:
+    """(b - a) x (c - a) [m²] of triangles: outer normals, twice as long as the area; ``corners`` [m], shape (m, 3, 3).
+
+    np.cross takes three times as long for the few triangles around a vertex.
+    """
+    u, v = (corners[:, (1, 2)] - corners[:, :1]).transpose(1, 2, 0)
+    return np.ascontiguousarray((u[[1, 2, 0]] * v[[2, 0, 1]] - u[[2, 0, 1]] * v[[1, 2, 0]]).T)
+
+
 def _area_vectors(surface: Surface) -> FloatArray:
-    a, b, c = np.moveaxis(surface.vertices[surface.triangles], 1, 0)
-    return 0.5 * np.cross(b - a, c - a)
+    return 0.5 * area_normals(surface.vertices[surface.triangles])
 
 
 def unit(vectors: FloatArray) -> FloatArray:

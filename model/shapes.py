@@ -20,7 +20,7 @@ from scipy.spatial import ConvexHull, Delaunay
 
 from tissue_contact.boxes import Corners
 from tissue_contact.errors import InputError
-from tissue_contact.geometry import FloatArray, IntArray, Surface, volume
+from tissue_contact.geometry import FloatArray, IntArray, Surface, area_normals, volume
 from tissue_contact.grading import GROWTH, Grading
 from tissue_contact.relaxation import centred, in_order, swapped
 
@@ -363,8 +363,8 @@ def ellipsoid(
 def _hull(vertices: FloatArray) -> IntArray:
     """Triangles of the convex hull of points, wound outward."""
     found = ConvexHull(vertices).simplices
-    a, b, c = np.moveaxis(vertices[found], 1, 0)
-    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a - vertices.mean(axis=0)) < 0
+    outward = vertices[found[:, 0]] - vertices.mean(axis=0)
+    inward = np.einsum("ij,ij->i", area_normals(vertices[found]), outward) < 0
     return in_order(np.where(inward[:, None], found[:, ::-1], found))
 
 

@@ -103,7 +103,7 @@ def _volume(
             "Remove volume_stiffness, or close the surface",
         )  # fmt: skip
     corners = surface.vertices[surface.triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 6.0
+    normals = geometry.area_normals(corners) / 6.0
     gradient = np.zeros_like(surface.vertices)
     np.add.at(gradient, surface.triangles, normals[:, None])
     volume = geometry.volume(surface)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tissue_contact.assembly import Assembly
 from tissue_contact.files import publish
-from tissue_contact.geometry import unit
+from tissue_contact.geometry import area_normals, unit
 from tissue_contact.scenarios.outcome import FloatArray, Trace
 from tissue_contact.scene import Rigid, Scene
 from tissue_contact.simulate import rollout
@@ -302,7 +302,7 @@ def _camera() -> FloatArray:
 
 
 def _normals(corners: FloatArray) -> FloatArray:
-    return unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    return unit(area_normals(corners))
 
 
 def _lit(corners: FloatArray, colour: FloatArray, camera: FloatArray) -> FloatArray:
