@@ -14,7 +14,7 @@ unusable_or_nothing = $(if $(shell grep -qF '$(CURDIR)/$(1)' $(1)/pyvenv.cfg 2>/
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint bench peers soak roofline accuracy presets identification check importers cross extremes warm-up lock clean unusable
+.PHONY: help demo test lint bench peers soak roofline growth accuracy presets identification check importers cross extremes warm-up lock clean unusable
 
 help: ## list what make can do
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1 - /p' Makefile | awk -F ' - ' '{ printf "%-22s%s\n", $$1, $$2 }'
@@ -50,12 +50,18 @@ soak: $(STAMP) ## step without a pause through ten minutes of simulated time, in
 	$(BIN)/python -m tissue_contact.scenarios.soak --output build/soak.json \
 		--preset $(or $(PRESET),balanced)
 
-# OUTPUT=docs/data/roofline.json makes the page of the docs anew.
+# OUTPUT=docs/data/roofline.json makes the page of the docs anew, OUTPUT=docs/data/growth.json that of growth.
 # Straight code in vectors, as in the FMU.
 roofline: warm-up ## measure how close a step is to what this machine can do, into build/roofline.json
 	@mkdir -p build
 	NUMBA_SLP_VECTORIZE=1 \
 		$(BIN)/python -m tissue_contact.scenarios.roofline --output $(or $(OUTPUT),build/roofline.json)
+	$(BIN)/python docs/generate.py
+
+growth: $(STAMP) ## count how the work of a step grows with the mesh, into build/growth.json
+	@mkdir -p build
+	$(BIN)/python -m tissue_contact.scenarios.growth --workers $(WORKERS) \
+		--output $(or $(OUTPUT),build/growth.json)
 	$(BIN)/python docs/generate.py
 
 # The peers are in an environment of their own, with the product and the versions of what it needs itself.

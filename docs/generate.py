@@ -12,7 +12,7 @@ from pages import table
 
 from tissue_contact import scene
 from tissue_contact.identify import columns, reading, treatment
-from tissue_contact.scenarios import scenario, stimulus
+from tissue_contact.scenarios import growth, scenario, stimulus
 from tissue_contact.scene import parse_scene
 from tissue_contact.settings import Settings, setting
 from tissue_contact.status import OK, STATUSES
@@ -295,6 +295,31 @@ def roofline_page() -> str:
     return text
 
 
+def growth_page() -> str:
+    """How the work of a step grows with the mesh, from docs/data/growth.json."""
+    rows = json.loads((ROOT / "docs" / "data" / "growth.json").read_text("utf-8"))
+    counts = [
+        [growth.case(row["level"], row["reach"]), f"{row['triangles']:,}", *(f"{row[w]:,.0f}" for w in growth.WORK)]
+        for row in rows
+    ]
+    times = [
+        [
+            f"{growth.case(row['of'], row['reach'])}, over {row['over']}",
+            *(f"{row[w]:.2f}" for w in growth.WORK),
+            "" if row["of"].endswith("supported") else f"{row['N log N']:.2f}",
+        ]
+        for row in growth.ratios(rows)
+    ]
+    work = ("Step, no contact", "Step, pressed", "Detection", "Response")
+    return (
+        f"{NOTE}# How the work grows\n\nThousands of instructions of a step with the preset `fast`, counted by "
+        "`make growth OUTPUT=docs/data/growth.json`; what it means is told in "
+        "[speed](../speed.md#how-the-work-grows).\n\n"
+        f"{table(('Sheet', 'Triangles', *work), counts)}\nTimes as many, and N·log N of the triangles of the files:\n\n"
+        f"{table(('Sheet', *work, 'N·log N'), times)}"
+    )
+
+
 def pages() -> dict[str, str]:
     """File name in docs/reference -> content."""
     return {
@@ -304,6 +329,7 @@ def pages() -> dict[str, str]:
         "data.md": data_page(),
         "status.md": status_page(),
         "roofline.md": roofline_page(),
+        "growth.md": growth_page(),
     }
 
 

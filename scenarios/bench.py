@@ -44,6 +44,7 @@ COMPARED = "6K"  # the sheet on which a step has a budget
 STEP = 1e-3  # s
 ROUNDS, PATIENCE = 6, 30.0  # of runs of which the fastest of each step counts, and seconds for them
 REPEATS = {"detection": 64, "response": 4, "tissue": 1}  # of a part, to time it: the more, the less it takes
+MEASURED = Path(measured.__file__)
 PARTS = {"accurate": tuple(REPEATS), "fast": ("detection", "response")}  # that are timed; "tissue" is symplectic Euler
 
 SCENE = """
@@ -172,8 +173,8 @@ def fastest(fmu: Path, path: Real, starts: dict[str, float] | None = None) -> Re
     return found
 
 
-def part_times(assembly: Assembly, folder: Path, path: Real, parts: Sequence[str]) -> dict[str, Real]:
-    """Time [µs] of parts in every step: with the part repeated, less without."""
+def repeating(assembly: Assembly, folder: Path) -> Path:
+    """The FMU of an assembly with parameters ``repeat.`` and the name of a part: how often a step does it once more."""
     first = len(assembly.parameters)
     repeats = [
         Variable(f"repeat.{part}", "parameters", first + k, "1", 0.0, 0.0, 100.0, f"repeats of {part}")
@@ -184,7 +185,12 @@ def part_times(assembly: Assembly, folder: Path, path: Real, parts: Sequence[str
         parameters=np.concatenate([assembly.parameters, np.zeros(3)]),
         variables=(*assembly.variables, *repeats),
     )
-    fmu = build(assembly, folder / "measured.fmu", [host_platform()], kernels=Path(measured.__file__))
+    return build(assembly, folder / "measured.fmu", [host_platform()], kernels=MEASURED)
+
+
+def part_times(assembly: Assembly, folder: Path, path: Real, parts: Sequence[str]) -> dict[str, Real]:
+    """Time [µs] of parts in every step: with the part repeated, less without."""
+    fmu = repeating(assembly, folder)
     plain = fastest(fmu, path)
     return {p: (fastest(fmu, path, {f"repeat.{p}": REPEATS[p]}) - plain) / REPEATS[p] for p in parts}
 

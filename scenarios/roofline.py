@@ -7,8 +7,6 @@ alone, compiled just in time; the step and its instructions are those of the FMU
 """
 
 import json
-import re
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterable
@@ -28,7 +26,7 @@ from tissue_contact.fmu.native import drive
 from tissue_contact.kernels import energy, factor, forces, symplectic
 from tissue_contact.kernels.bundle import Bundle
 from tissue_contact.kernels.compiled import kernel
-from tissue_contact.scenarios import bench, counts
+from tissue_contact.scenarios import bench, counts, instructions
 from tissue_contact.scenarios.counts import Part
 from tissue_contact.simulate import Instance, run
 
@@ -164,39 +162,6 @@ def part_times(assembly: Assembly, instance: Instance, names: Iterable[str]) -> 
 # --- the step ---------------------------------------------------------------------------------------------
 
 
-def counter(log: Path) -> list[str] | None:
-    """Command that counts the instructions of a program into a file; None if there is none that works here."""
-    ways = (
-        ["perf", "stat", "-x", ",", "-e", "instructions:u", "-o", str(log), "--"],
-        ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", f"--log-file={log}"],
-    )
-    for way in ways:
-        if shutil.which(way[0]):
-            subprocess.run([*way, "true"], capture_output=True)
-            if log.exists() and count_of(log.read_text("utf-8")) is not None:
-                return way
-    return None
-
-
-def count_of(text: str) -> int | None:
-    """Instructions that perf or callgrind counted."""
-    found = re.search(r"^(\d+),,instructions|Collected : (\d+)", text, re.MULTILINE)
-    return int(found[1] or found[2]) if found else None
-
-
-def instructions(fmu: Path, folder: Path) -> float | None:
-    """Instructions of a step of the FMU, pressed: what some more steps add to a run; None if they cannot be counted."""
-    log = folder / "instructions"
-    way = counter(log)
-    if way is None:
-        return None
-    taken = []
-    for steps in (PRESSED, PRESSED + COUNTED):
-        drive(fmu, bench.poses()[1 : steps + 1], bench.STEP, prefix=way)
-        taken.append(count_of(log.read_text("utf-8")))
-    return (taken[1] - taken[0]) / COUNTED
-
-
 def solver_result(solver: str, machine: Machine, folder: Path) -> dict[str, Any]:
     """All figures of one integrator."""
     text = bench.scene_text(bench.tissue_text(bench.COMPARED, folder), solver)
@@ -228,7 +193,7 @@ def solver_result(solver: str, machine: Machine, folder: Path) -> dict[str, Any]
             }
         )
     measured = sum(row["measured"] or 0.0 for row in rows)
-    counted = instructions(fmu, folder)
+    counted = instructions.of_steps(fmu, bench.poses()[1 : PRESSED + COUNTED + 1], bench.STEP, COUNTED)
     return {
         "substeps": substeps,
         "parts": rows,

@@ -8,7 +8,7 @@ from fmu_fixture import PLATFORM
 from scenes import assembled
 
 from tissue_contact.scenarios.counts import Part, parts
-from tissue_contact.scenarios.roofline import Level, Machine, bound, count_of, measure_machine, remains
+from tissue_contact.scenarios.roofline import Level, Machine, bound, measure_machine, remains
 
 MACHINE = Machine(3e9, 48e9, 96e9, 1e9, (Level("L1", 1e4, 100e9), Level("memory", math.inf, 10e9)))
 SCENE = """
@@ -58,12 +58,6 @@ def test_counts_follow_the_sizes_of_the_arrays():
     assert found["substitutions"] == Part("substitutions", 3, 12 * n + 3 * rows, 0, size)
     assert found["pressed rows"].flops == 0
     assert found["contact"].passes == 4, "one for every iteration, and one for the outputs"
-
-
-def test_instructions_of_perf_and_of_valgrind():
-    assert count_of("# started\n\n12345,,instructions:u,100,100.00,,\n") == 12345
-    assert count_of("<not supported>,,instructions:u,0,100.00,,\n") is None
-    assert count_of("==7== \n==7== Collected : 67890\n") == 67890
 
 
 def test_what_remains_names_most_and_farthest():
