@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -31,6 +32,26 @@ def in_line(work: Callable[[Task], Done], tasks: Sequence[Task], on_done: Callab
 
 
 @contextmanager
+def _interrupted_later() -> Iterator[None]:
+    """Have an interruption wait, also in processes that are started meanwhile, until `_end_quietly`."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _end_quietly() -> None:
+    """Have a worker end without a word where it is interrupted: who spread the work says what is kept."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
+
+
+@contextmanager
 def pool(workers: int, scheduler: str | None = None) -> Iterator[Spread]:
     """A function like `in_line` that spreads the tasks over processes.
 
@@ -53,10 +74,11 @@ def pool(workers: int, scheduler: str | None = None) -> Iterator[Spread]:
         yield in_line
     else:
         # A forked process would inherit the locks of libraries that this one has started.
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as executor:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_end_quietly) as executor:
 
             def spread(work: Any, tasks: Sequence[Any], on_done: Callable[[int, Any], None]) -> list[Any]:
-                futures = {executor.submit(work, task): n for n, task in enumerate(tasks)}
+                with _interrupted_later():  # or workers that are just starting would tell of it
+                    futures = {executor.submit(work, task): n for n, task in enumerate(tasks)}
                 try:
                     for future in as_completed(futures):
                         on_done(futures[future], future.result())
