@@ -44,7 +44,7 @@ COMPARED = "6K"  # the sheet on which a step has a budget
 STEP = 1e-3  # s
 ROUNDS, PATIENCE = 6, 30.0  # of runs of which the fastest of each step counts, and seconds for them
 REPEATS = {"detection": 64, "response": 4, "tissue": 1}  # of a part, to time it: the more, the less it takes
-MEASURED = Path(measured.__file__)
+MEASURED = Path(measured.__file__)  # kernels of a step that does its parts once more, as often as it is told
 PARTS = {"accurate": tuple(REPEATS), "fast": ("detection", "response")}  # that are timed; "tissue" is symplectic Euler
 
 SCENE = """
