@@ -46,7 +46,8 @@ def _interrupted_later() -> Iterator[None]:
 
 def _end_quietly() -> None:
     """Have a worker end without a word where it is interrupted: who spread the work says what is kept."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as in the background of a script, where all go on
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
 
