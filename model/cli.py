@@ -3,16 +3,15 @@
 Some come only after the scene or scenario is read, so that what is wrong there is told at once as well.
 """
 
-import errno
-import functools
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import typer
 
-from tissue_contact.errors import InputError, TissueContactError
+from tissue_contact.commandline import Workers, guarded
+from tissue_contact.errors import InputError
 
 app = typer.Typer(
     add_completion=False,
@@ -31,7 +30,6 @@ PresetOption = Annotated[
     str | None,
     typer.Option("--preset", metavar="NAME", help="fast, balanced or accurate, in the place of the scene's preset."),
 ]
-Workers = Annotated[int, typer.Option(min=1, max=1024, help="Processes to spread the work over.")]
 Scheduler = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to spread the work over instead.")
 ]
@@ -45,33 +43,12 @@ Refine = Annotated[float, typer.Option(min=4, max=256, help="Triangles of the re
 
 
 def _command(example: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Register a command that turns errors into one line on stderr and an exit code."""
+    """Register a command, whose errors are one line on stderr."""
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
-        @functools.wraps(function)
-        def guarded(*args: Any, **kwargs: Any) -> None:
-            try:
-                function(*args, **kwargs)
-            except InputError as error:
-                _fail(str(error), 2)
-            except TissueContactError as error:
-                _fail(str(error), 1)
-            except OSError as error:
-                if error.errno in (None, errno.EPIPE):  # of a cluster; of a reader that has gone, as click knows
-                    raise
-                place, rule = str(error.filename or "a file"), "it must be possible to read or write it"
-                _fail(str(InputError(place, rule, error.strerror, "Give another path, or make room")), 2)
-            except KeyboardInterrupt as error:
-                _fail(str(error) or "interrupted", 130)
-
-        return app.command(epilog=f"Example: {example}")(guarded)
+        return app.command(epilog=f"Example: {example}")(guarded(function, "tissue-contact"))
 
     return register
-
-
-def _fail(text: str, code: int) -> NoReturn:
-    typer.echo(f"tissue-contact: {' '.join(text.split())}", err=True)
-    raise typer.Exit(code)
 
 
 @_command("tissue-contact build scene.toml -o press.fmu --platform linux64 --platform win64")

@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from tissue_contact import geometry, shapes
 from tissue_contact.assemble import assemble
+from tissue_contact.commandline import guarded
 from tissue_contact.errors import WorkError
 from tissue_contact.fields import CUTS_MAX, longest_edges, quadrature
 from tissue_contact.files import publish
@@ -31,6 +32,7 @@ from tissue_contact.scenarios.outcome import Trace
 from tissue_contact.scenarios.run import communication_points, drive, empty_trace, instance_of, scene_key
 from tissue_contact.scenarios.stimulus import minimum_jerk
 from tissue_contact.scene import Scene, parse_scene
+from tissue_contact.settings import check_word
 from tissue_contact.simulate import Instance
 
 FloatArray = NDArray[np.float64]
@@ -554,12 +556,11 @@ def main(
     console = Console(stderr=True)
     wanted = parts.split(",")
     for part in wanted:
-        if part not in PARTS:
-            raise typer.BadParameter(f"{part} is none of {', '.join(PARTS)}")
+        check_word("--parts", part, PARTS)
     kept = measure(output, wanted, meshes, lambda text: console.print(text, style="dim", highlight=False))
     publish(output.with_name(f"{output.stem}-summary.json"), (json.dumps(summary(kept), indent=1) + "\n").encode())
     console.print(f"kept in {output}", highlight=False)
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    typer.run(guarded(main, "accuracy"))

@@ -20,6 +20,7 @@ from rich.table import Table
 
 from tissue_contact.assemble import assemble
 from tissue_contact.assembly import Assembly
+from tissue_contact.commandline import guarded
 from tissue_contact.files import publish
 from tissue_contact.fmu.build import build
 from tissue_contact.fmu.native import drive, host_platform
@@ -27,7 +28,7 @@ from tissue_contact.kernels import measured
 from tissue_contact.kernels.layout import Real
 from tissue_contact.presets import PRESETS
 from tissue_contact.scene import parse_scene
-from tissue_contact.settings import check_word
+from tissue_contact.settings import check_file, check_word
 from tissue_contact.variables import Variable
 
 # Cells along a side of the sheet, two triangles each, its length [m] and its support [N/m3]: ever finer; and as fine
@@ -267,6 +268,7 @@ def table(results: dict[str, Any]) -> Table:
 
 def main(output: Path = Path("build/bench.json"), levels: str = ",".join(LEVELS)) -> None:
     """Measure, print and keep the figures."""
+    check_file("--output", output)
     for level in levels.split(","):
         check_word("--levels", level, LEVELS)
     console = Console()
@@ -277,4 +279,4 @@ def main(output: Path = Path("build/bench.json"), levels: str = ",".join(LEVELS)
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    typer.run(guarded(main, "bench"))

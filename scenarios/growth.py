@@ -6,7 +6,6 @@ those of `bench`, as they are and with a reach.
 
 import json
 import math
-import os
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tissue_contact.assemble import assemble
+from tissue_contact.commandline import Workers, guarded
 from tissue_contact.errors import WorkError
 from tissue_contact.files import publish
 from tissue_contact.fmu.compile import shared_library
@@ -24,7 +24,7 @@ from tissue_contact.fmu.native import host_platform
 from tissue_contact.pool import pool
 from tissue_contact.scenarios import bench, instructions
 from tissue_contact.scene import parse_scene
-from tissue_contact.settings import check_word
+from tissue_contact.settings import check_file, check_word
 
 Row = dict[str, Any]
 
@@ -98,9 +98,10 @@ def case(level: str, reach: bool) -> str:
 def main(
     output: Path = Path("build/growth.json"),
     levels: str = ",".join(bench.LEVELS),
-    workers: int = os.cpu_count() or 1,
+    workers: Workers = 1,
 ) -> None:
     """Count, print and keep the figures."""
+    check_file("--output", output)
     console = Console()
     wanted = levels.split(",")
     for level in wanted:
@@ -121,4 +122,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    typer.run(guarded(main, "growth"))

@@ -19,6 +19,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from tissue_contact.commandline import guarded
 from tissue_contact.files import publish
 from tissue_contact.fmu.build import build
 from tissue_contact.fmu.native import drive, host_platform
@@ -35,7 +36,7 @@ from tissue_contact.scenarios.peer_scene import (
     moved_alike,
     record,
 )
-from tissue_contact.settings import check_word
+from tissue_contact.settings import check_file, check_word
 
 STEPPED = "6K"  # the sheet that is run, and on which steps are compared
 EVERY = 4  # of its milliseconds in contact, how many are one moment to find pairs at
@@ -243,6 +244,7 @@ def left_out_lines(results: Mapping[str, Any]) -> list[str]:
 
 def main(output: Path = Path("build/peers.json"), levels: str = ",".join(THINNED)) -> None:
     """Measure, print and keep the figures."""
+    check_file("--output", output)
     for level in levels.split(","):
         check_word("--levels", level, THINNED)
     if hasattr(os, "sched_setaffinity"):  # libraries that use all the cores would not be compared with one
@@ -261,4 +263,4 @@ def main(output: Path = Path("build/peers.json"), levels: str = ",".join(THINNED
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    typer.run(guarded(main, "peers"))

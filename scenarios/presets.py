@@ -5,7 +5,6 @@ same scene, motion and sources are taken from there.
 """
 
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ import typer
 from rich.console import Console
 
 from tissue_contact.assemble import assemble
+from tissue_contact.commandline import Workers, guarded
 from tissue_contact.edits import Edit, edited
 from tissue_contact.files import publish
 from tissue_contact.fmu.compile import shared_library
@@ -189,7 +189,7 @@ def measure(folder: Path, wanted: Sequence[str], workers: int, say: Say) -> dict
             "safeties": SAFETIES, "scenarios": scenarios, "chosen": chosen(scenarios)}  # fmt: skip
 
 
-def main(output: Path = Path("build/presets.json"), scenarios: str = "", workers: int = os.cpu_count() or 1) -> None:
+def main(output: Path = Path("build/presets.json"), scenarios: str = "", workers: Workers = 1) -> None:
     """Measure what is not yet kept beside the output file; all scenarios unless some are named, with commas between."""
     console = Console(stderr=True)
     folder = output.with_suffix("")
@@ -203,4 +203,4 @@ def main(output: Path = Path("build/presets.json"), scenarios: str = "", workers
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    typer.run(guarded(main, "presets"))

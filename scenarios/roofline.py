@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tissue_contact.assembly import Assembly
+from tissue_contact.commandline import guarded
 from tissue_contact.files import publish
 from tissue_contact.fmu import compile
 from tissue_contact.fmu.native import drive
@@ -28,6 +29,7 @@ from tissue_contact.kernels.bundle import Bundle
 from tissue_contact.kernels.compiled import kernel
 from tissue_contact.scenarios import bench, counts, instructions
 from tissue_contact.scenarios.counts import Part
+from tissue_contact.settings import check_file
 from tissue_contact.simulate import Instance, run
 
 SOLVERS = {
@@ -251,6 +253,7 @@ def table(name: str, result: dict[str, Any]) -> Table:
 
 def main(output: Path = Path("build/roofline.json")) -> None:
     """Measure, print and keep the figures."""
+    check_file("--output", output)
     console = Console()
     results = measure(lambda text: console.print(f"measuring: {text}", style="dim"))
     machine = results["machine"]
@@ -265,4 +268,4 @@ def main(output: Path = Path("build/roofline.json")) -> None:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    typer.run(guarded(main, "roofline"))

@@ -16,13 +16,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from tissue_contact.commandline import guarded
 from tissue_contact.errors import InputError, WorkError
 from tissue_contact.files import publish
 from tissue_contact.fmu.native import Soak, soak
 from tissue_contact.kernels.layout import Real
 from tissue_contact.scenarios import bench
 from tissue_contact.scenarios.run import bar_of
-from tissue_contact.settings import check_word
+from tissue_contact.settings import check_file, check_word
 
 LIMIT = 1e6  # ns, real time at a step of 1 ms
 PERCENTILES = {"median": 50, "p99": 99, "p99.9": 99.9, "p99.99": 99.99, "maximum": 100}
@@ -116,10 +117,11 @@ def main(
     core: int | None = None,
 ) -> None:
     """Run, print and keep the figures. Without a core: the last one that this process may use."""
+    check_file("--output", output)
     check_word("--level", level, bench.LEVELS)
     allowed = sorted(os.sched_getaffinity(0))
     if core is not None and core not in allowed:
-        raise InputError("core", "must be one that this process may use", core, f"Choose from {allowed}")
+        raise InputError("--core", "must be one that this process may use", core, f"Choose from {allowed}")
     repeats = max(1, round(seconds / (len(there_and_back()) * bench.STEP)))
     results = measure(preset, level, repeats, rounds, allowed[-1] if core is None else core)
     console = Console()
@@ -129,4 +131,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    typer.run(guarded(main, "soak"))

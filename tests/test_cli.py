@@ -61,9 +61,9 @@ def folder(tmp_path: Path) -> Path:
     return made
 
 
-def one_line(text: str) -> str:
+def one_line(text: str, name: str = "tissue-contact") -> str:
     assert text.count("\n") == 1 and "Traceback" not in text, text
-    assert text.startswith("tissue-contact: ")
+    assert text.startswith(f"{name}: ")
     return text
 
 
@@ -117,6 +117,21 @@ def test_wrong_input_is_2_in_one_line(words: list[str], message: str, folder: Pa
     assert done.returncode == 2
     assert message in one_line(done.stderr) and done.stdout == ""
     assert [p.name for p in folder.parent.iterdir()] == ["tiny"]
+
+
+@pytest.mark.parametrize(
+    ("tool", "option", "value", "message"),
+    [
+        ("bench", "--output", ".", "Name a file in it"),
+        ("growth", "--levels", "7K", "1.5K, 6K"),
+        ("accuracy", "--parts", "capsules", "meshes"),
+    ],
+)
+def test_wrong_input_of_a_tool_is_2_in_one_line(tool: str, option: str, value: str, message: str, folder: Path) -> None:
+    words = ["-m", f"tissue_contact.scenarios.{tool}", option, value]
+    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, cwd=folder, timeout=600)
+    assert done.returncode == 2, done.stderr
+    assert message in one_line(done.stderr, tool) and done.stdout == ""
 
 
 @pytest.fixture
