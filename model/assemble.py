@@ -370,11 +370,12 @@ def _state(scene: Scene, model: Model, sizes: Sizes) -> State:
         "tuned": sizes.parameters,
     }
     start = {"x": model.rest_x, "y": model.rest_y, "z": model.rest_z, "pose": np.array(pose).ravel()}
-    start["block_reach"] = np.full(len(model.block_middle), ANYWHERE)
+    blocks = len(model.block_middle)
+    start["block_reach"] = np.full(blocks, ANYWHERE)
     start["tissue_way"] = np.full(len(scene.tissue), ANYWHERE)
     for name in State._fields:
         if name not in start:
-            groups = {"touch_": touches, "anchor_": int(model.grasp_start[-1])}
+            groups = {"touch_": touches, "anchor_": int(model.grasp_start[-1]), "block_": blocks}
             size = next((n for prefix, n in groups.items() if name.startswith(prefix)), vertices)
             start[name] = np.zeros(each.get(name, size))
     return State(**start)
@@ -402,6 +403,7 @@ def _scratch(scene: Scene, model: Model, parameters: int) -> Scratch:
         "detail": 2,
         "expansion": 256,
         **dict.fromkeys(("point_distance", "point_x", "point_y", "point_z"), fields.CUTS_MAX**2),
+        "block_outcode": len(model.block_middle),
         "marks": -(-triangles // WORD),
         "candidate": triangles,
         "touching": int(model.contact_near_start[-1]),

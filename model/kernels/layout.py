@@ -199,7 +199,10 @@ class State(NamedTuple):
     deepest: Real  # [m], shape [K], when forces were last evaluated
     tissue_speed: Real  # [m/s], shape [n], greatest of a vertex at the last check, 0 if not in contact
     tissue_way: Real  # [m], shape [n], of a vertex since the last detection, at most; `ANYWHERE` if not known
-    block_reach: Real  # [m], shape [D], within which of its middle all vertices of a block are, `ANYWHERE` if not known
+    block_x: Real  # [m], shape [D], place of the middle of a block when its vertices were last looked at
+    block_y: Real  # [m], shape [D]
+    block_z: Real  # [m], shape [D]
+    block_reach: Real  # [m], shape [D], within which of that all vertices of the block are, `ANYWHERE` if not known
     anchor_x: Real  # [m], shape [A], place of an anchor in the body frame
     anchor_y: Real  # [m], shape [A]
     anchor_z: Real  # [m], shape [A]
@@ -230,6 +233,7 @@ class Scratch(NamedTuple):
     """
 
     outcode: Index  # shape [V], which faces of the body's box a vertex lies beyond, a bit a face
+    block_outcode: Index  # shape [D], which faces of the body's box the ball around a block lies beyond, a bit a face
     marks: Index  # shape [T / 32, rounded up], triangles of a tissue that may touch, a bit each
     candidate: Index  # shape [T], the same, listed
     touching: (

@@ -11,9 +11,15 @@ ROUNDING = 1e-9  # of lengths, far more than what sums and turns of them err by
 
 
 @pointwise
+def _place_in_body(x, y, z, k, r, p):
+    """Place k of those of x, y and z in the body frame [m]."""
+    return to_body(r, (x[k] - p[0], y[k] - p[1], z[k] - p[2]))
+
+
+@pointwise
 def in_body(state, v, r, p):
     """A vertex in the body frame [m]."""
-    return to_body(r, (state.x[v] - p[0], state.y[v] - p[1], state.z[v] - p[2]))
+    return _place_in_body(state.x, state.y, state.z, v, r, p)
 
 
 @pointwise
@@ -31,19 +37,20 @@ def _faces(q, low, high):
 
 @inner
 def loosen(model, state, tissue, way):
-    """Let the vertices of blocks be as far from the middles as they may be when each has gone a ``way`` [m] more."""
+    """Let the vertices of blocks be as far as they may be when each has gone a ``way`` [m] more."""
     for n in range(model.tissue_block_start[tissue], model.tissue_block_start[tissue + 1]):
-        state.block_reach[n] = min(ANYWHERE, state.block_reach[n] + 2.0 * way)
+        state.block_reach[n] = min(ANYWHERE, state.block_reach[n] + way)
 
 
 @inner
-def _is_beyond(model, state, block, r, p, low, high):
-    """Whether the ball around the middle of a block, which holds all of its vertices, lies beyond a face of the box."""
-    q = in_body(state, model.block_middle[block], r, p)
-    reach = (1.0 + ROUNDING) * state.block_reach[block] + ROUNDING * (abs(q[0]) + abs(q[1]) + abs(q[2]))
-    low = (low[0] - reach, low[1] - reach, low[2] - reach)
-    high = (high[0] + reach, high[1] + reach, high[2] + reach)
-    return _faces(q, low, high) != 0
+def _pass_over(state, scratch, first, last, r, p, low, high):
+    """Mark the faces of the box low, high that the balls around the vertices of blocks first to last lie beyond."""
+    x, y, z = state.block_x[first:last], state.block_y[first:last], state.block_z[first:last]
+    reach, beyond = state.block_reach[first:last], scratch.block_outcode[first:last]
+    for k in range(reach.size):  # with no way out it runs in vectors
+        q = _place_in_body(x, y, z, k, r, p)
+        far = (1.0 + ROUNDING) * reach[k] + ROUNDING * (abs(q[0]) + abs(q[1]) + abs(q[2]))
+        beyond[k] = _faces(q, (low[0] - far, low[1] - far, low[2] - far), (high[0] + far, high[1] + far, high[2] + far))
 
 
 @inner
@@ -58,13 +65,15 @@ def _locate(state, scratch, v, r, p, low, high):
 
 @inner
 def _locate_block(model, state, scratch, block, r, p, low, high):
-    """Locate the vertices of a block, and find how far from its middle they are."""
+    """Locate the vertices of a block, and find the ball around its middle that holds them."""
     c, farthest = model.block_middle[block], 0.0
+    x, y, z = state.x[c], state.y[c], state.z[c]
     for k in range(model.block_vertex_start[block], model.block_vertex_start[block + 1]):
         v = model.block_vertex[k]
         _locate(state, scratch, v, r, p, low, high)
-        d = (state.x[v] - state.x[c], state.y[v] - state.y[c], state.z[v] - state.z[c])
+        d = (state.x[v] - x, state.y[v] - y, state.z[v] - z)
         farthest = max(farthest, dot(d, d))
+    state.block_x[block], state.block_y[block], state.block_z[block] = x, y, z
     state.block_reach[block] = math.sqrt(farthest)
 
 
@@ -89,9 +98,12 @@ def find_candidates(model, state, scratch, contact, r, p, low, high, known):
     if not known:
         for v in range(model.tissue_vertex_start[tissue], model.tissue_vertex_start[tissue + 1]):
             _locate(state, scratch, v, r, p, low, high)
-    for n in range(model.tissue_block_start[tissue], model.tissue_block_start[tissue + 1]):
+    first, last = model.tissue_block_start[tissue], model.tissue_block_start[tissue + 1]
+    if known:
+        _pass_over(state, scratch, first, last, r, p, low, high)
+    for n in range(first, last):
         if known:
-            if _is_beyond(model, state, n, r, p, low, high):
+            if scratch.block_outcode[n] != 0:
                 continue
             _locate_block(model, state, scratch, n, r, p, low, high)
         common = 63
