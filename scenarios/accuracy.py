@@ -32,7 +32,7 @@ from tissue_contact.scenarios.outcome import Trace
 from tissue_contact.scenarios.run import communication_points, drive, empty_trace, instance_of, scene_key
 from tissue_contact.scenarios.stimulus import minimum_jerk
 from tissue_contact.scene import Scene, parse_scene
-from tissue_contact.settings import check_word
+from tissue_contact.settings import check_file, check_word
 from tissue_contact.simulate import Instance
 
 FloatArray = NDArray[np.float64]
@@ -553,6 +553,7 @@ def main(
     meshes: Path = Path("../shared/meshes"),
 ) -> None:
     """Measure what is not yet in the output file; its parts are the cases, the step times and the two meshes."""
+    check_file("--output", output)
     console = Console(stderr=True)
     wanted = parts.split(",")
     for part in wanted:

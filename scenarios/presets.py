@@ -26,7 +26,7 @@ from tissue_contact.scenarios.run import communication_points
 from tissue_contact.scenarios.scenario import read_scenario, shipped_names
 from tissue_contact.scenarios.trade import Job, check_references, follow, job_of, kept_of, point_of, rows_of, timed
 from tissue_contact.scene import Scene, parse_scene
-from tissue_contact.settings import check_word
+from tissue_contact.settings import check_file, check_word
 from tissue_contact.study import levers
 from tissue_contact.study.deviation import errors
 from tissue_contact.study.front import Point, percent, solver_settings
@@ -191,6 +191,7 @@ def measure(folder: Path, wanted: Sequence[str], workers: int, say: Say) -> dict
 
 def main(output: Path = Path("build/presets.json"), scenarios: str = "", workers: Workers = 1) -> None:
     """Measure what is not yet kept beside the output file; all scenarios unless some are named, with commas between."""
+    check_file("--output", output)
     console = Console(stderr=True)
     folder = output.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)

@@ -123,6 +123,7 @@ def test_wrong_input_is_2_in_one_line(words: list[str], message: str, folder: Pa
     ("tool", "option", "value", "message"),
     [
         ("bench", "--output", ".", "Name a file in it"),
+        ("presets", "--output", ".", "Name a file in it"),
         ("growth", "--levels", "7K", "1.5K, 6K"),
         ("accuracy", "--parts", "capsules", "meshes"),
     ],
